@@ -23,7 +23,7 @@ from rich.text import Text
 from adaptdrive.processes import ProcessDiedError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import SessionMark, write_marks
-from adaptdrive.tui import main, terminal
+from adaptdrive.tui import run_view, terminal
 from adaptdrive.tui.record import CONTROLLERS, plot
 from adaptdrive.tui.view import DIM, ViewExtras, figure, flow, rows, screen
 from adaptdrive.tui.view import KEYS as DRIVE_KEYS
@@ -176,7 +176,7 @@ async def _play(story: Story, settings: DemoSettings) -> tuple[Summary, Adaptdri
             show = None if settings.headless else view.screen
             jobs = [player.run(), *stage.services(record)]
             with suppress(KeyboardInterrupt):
-                await main.run_view(record, stage.ask, jobs, show, view.takes)
+                await run_view(record, stage.ask, jobs, show, view.takes)
     except* AdaptdriveError as problems:
         problem = first_error(problems)
     if stage.session is not None:

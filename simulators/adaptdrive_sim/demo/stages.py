@@ -31,7 +31,7 @@ from adaptdrive.processes import BROKER, Child, Ports, ProcessGroup
 from adaptdrive.recording.session import Ending, read_info
 from adaptdrive.runtime import reports
 from adaptdrive.runtime.accounts import state_report
-from adaptdrive.tui.main import follow_drive, over_mqtt
+from adaptdrive.tui import follow_drive, over_mqtt
 from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive.util.errors import RecordingError, RefusedError
 from adaptdrive_sim.demo import DemoError, DemoSettings

@@ -159,7 +159,7 @@ class _Desk:
 
     async def show(self) -> bool:
         """Show the drive; return whether its load is to be measured."""
-        from adaptdrive.tui.main import watch  # noqa: PLC0415 - it is large
+        from adaptdrive.tui import watch  # noqa: PLC0415 - it is large
         from adaptdrive.tui.view import KEYS, ViewExtras, faint  # noqa: PLC0415
 
         asked = asyncio.Event()

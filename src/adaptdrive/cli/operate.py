@@ -261,7 +261,7 @@ def watch(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     Returns:
         0, or 3 when a command was under way at the end and is not known to be carried out.
     """
-    from adaptdrive.tui.main import watch as watch_drive  # noqa: PLC0415 - it is large
+    from adaptdrive.tui import watch as watch_drive  # noqa: PLC0415 - it is large
     from adaptdrive.tui.terminal import refuse_dumb_terminal  # noqa: PLC0415
 
     if not (sys.stdin.isatty() and sys.stdout.isatty()):

@@ -16,7 +16,7 @@ import pytest
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetMode
-from adaptdrive.tui.main import CommandsUnderWay, over_mqtt
+from adaptdrive.tui import CommandsUnderWay, over_mqtt
 from adaptdrive.tui.record import WatchRecord
 from adaptdrive.tui.terminal import DELIBERATE_S, REFRESH_S, KeyCommand
 from tests.support import Broker, acting
