@@ -245,7 +245,7 @@ def _overshoots(record: DemoRecord) -> dict[str, dict[str, float]]:
 
 def keep_marks(record: DemoRecord, session: Path) -> None:
     """Write what was done to the drive into its session, for figures."""
-    marks = [SessionMark(datetime.fromtimestamp(m.time_s, UTC), m.text) for m in record.marks]
+    marks = [SessionMark(datetime.fromtimestamp(s, UTC), text) for s, text in record.marks]
     write_marks(session, [mark for mark in marks if mark.text != TRIPPED])
 
 

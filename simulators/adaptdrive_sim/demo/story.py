@@ -330,4 +330,4 @@ class DemoRecord(WatchRecord):
 
     def mark(self, text: str) -> None:
         """Mark in the plot what was done."""
-        self.marks.append(Mark(self.now_s, text))
+        self.marks.append((self.now_s, text))

@@ -63,7 +63,7 @@ class Picture:
     ) -> None:
         """Take a reading and the voltage that follows from it."""
         if experiment.course.phase is not self.phase:
-            self.marks.append(record.Mark(reading.time_s, _SHORT[experiment.course.phase]))
+            self.marks.append((reading.time_s, _SHORT[experiment.course.phase]))
         self.phase, self.progress = experiment.course.phase, experiment.course.progress
         self.voltage_V, self.remaining_s = voltage_V, experiment.course.remaining_s
         outcome = experiment.outcome

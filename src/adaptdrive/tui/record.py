@@ -68,12 +68,8 @@ class PlotPoint:
     controller: str = "fixed"
 
 
-@dataclass(frozen=True, slots=True)
-class Mark:
-    """Something that was done to the drive, worth a mark in the plot."""
-
-    time_s: float
-    text: str
+Mark = tuple[float, str]
+"""Time in s and text of something that was done to the drive, worth a mark in the plot."""
 
 
 class Canvas:
@@ -165,7 +161,7 @@ def plot(
         Text.assemble((label.rjust(_LABEL_WIDTH), AXIS_STYLE), line)
         for label, line in zip(labels, canvas.lines(), strict=True)
     ]
-    marked = canvas.text_line((one.time_s, f"▼{one.text} ") for one in marks)
+    marked = canvas.text_line((time_s, f"▼{text} ") for time_s, text in marks)
     return Text("\n").join([Text(marked, MARK_STYLE), *labelled, _times(canvas)])
 
 

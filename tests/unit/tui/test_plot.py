@@ -64,7 +64,7 @@ def test_names_the_reference_at_its_height() -> None:
 
 
 def test_marks_stand_above_their_time() -> None:
-    shown = drawn(points(3.0, *[3.1] * 50), marks=(Mark(75.0, "2 disks"), Mark(20.0, "too old")))
+    shown = drawn(points(3.0, *[3.1] * 50), marks=((75.0, "2 disks"), (20.0, "too old")))
     marks = shown.splitlines()[0]
     assert "too old" not in marks
     middle = LABEL + (WIDTH - LABEL) // 2  # 75 s is half way between 50 s and 100 s
