@@ -15,8 +15,7 @@ from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.excerpts import Stretch, block_samples, divided, read_stretches
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration, load_configuration
-from adaptdrive.control.loads import motor
-from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.loads import bath, motor
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification import identify_any, proposed_model, time_constants
@@ -276,8 +275,8 @@ def plain_load(lags: int) -> Load:
         IdentificationError: It is of no order that can be identified.
     """
     if lags == 1:
-        bath = bath_load(1.0, 1.0, 1.0, 0.0, 1.0)
-        return replace(bath, input_gain=1.0, input_exponent=1, names=("gain", "tau_s"))
+        load = bath.bath_load(1.0, 1.0, 1.0, 0.0, 1.0)
+        return replace(load, input_gain=1.0, input_exponent=1, names=("gain", "tau_s"))
     if lags != 2:
         raise IdentificationError(f"{lags} lags: a load has one or two")
     return motor.motor_load(1.0, 1.0, 1.0)
