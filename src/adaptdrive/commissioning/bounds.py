@@ -65,7 +65,7 @@ def _is_rest(course: ExperimentCourse, elapsed_s: float, start: float) -> bool:
     """Compare the last two quarters of a wait; where it is over, the course takes the rest."""
     target, record, time_s = course.target, course.record, course.time_s
     quarter_s, drift = 0.25 * elapsed_s, 0.0
-    if target.onset is not None:
+    if target.battery is not None:
         quarter_s = min(quarter_s, 0.5 * target.patience_s)
         drift = _DRIFT * target.move
     middle = record.mean(time_s - 2.0 * quarter_s, time_s - quarter_s)

@@ -26,25 +26,6 @@ _FINEST_STEP = 1.0e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Onset:
-    """A load that takes no current below its own voltage.
-
-    Attributes:
-        turns_ratio: N2, secondary volts per boost volt.
-        droop_Ohm: R_d of the dc/dc stage.
-        terminal_max_V: Highest voltage at the terminals.
-    """
-
-    turns_ratio: float
-    droop_Ohm: float
-    terminal_max_V: float
-
-    def terminal_V(self, boost_voltage_V: float, current_A: float) -> float:
-        """Return the voltage at the terminals."""
-        return self.turns_ratio * boost_voltage_V - self.droop_Ohm * current_A
-
-
-@dataclass(frozen=True, slots=True)
 class Target:
     """Limits of an experiment, and the structure of its load.
 
@@ -59,7 +40,7 @@ class Target:
         patience_s: Shortest wait for a response.
         name: Name of the output, for people.
         unit: Its unit.
-        onset: For a battery: its terminals.
+        battery: For a battery, which takes no current below its own voltage: its section.
         given: Name and unit of what the drive is commanded, and gives.
     """
 
@@ -73,7 +54,7 @@ class Target:
     patience_s: float
     name: str
     unit: str
-    onset: Onset | None = None
+    battery: BatterySection | None = None
     given: Given = BOOST
 
     def to_input(self, voltage_V: float) -> float:
@@ -88,10 +69,10 @@ class Target:
     @property
     def onset_step_V(self) -> float:
         """Step of V_c that raises a battery's current by less than the movement."""
-        onset = self.onset
-        if onset is None or not onset.droop_Ohm > 0.0:
+        if self.battery is None or not self.battery.model.droop_Ohm > 0.0:
             return _FINEST_STEP * (self.high_V - self.low_V)
-        return _ONSET_SHARE * self.move * onset.droop_Ohm / onset.turns_ratio
+        model = self.battery.model
+        return _ONSET_SHARE * self.move * model.droop_Ohm / model.turns_ratio
 
 
 def build_target(
@@ -120,17 +101,9 @@ def build_target(
         patience_s=section.traits.patience_s if patience_s is None else patience_s,
         name=section.output_name,
         unit=section.output_unit,
-        onset=_onset(configuration),
+        battery=section if isinstance(section, BatterySection) else None,
         given=configuration.drive.given,
     )
-
-
-def _onset(configuration: Configuration) -> Onset | None:
-    section = configuration.load
-    if not isinstance(section, BatterySection):
-        return None
-    model = section.model
-    return Onset(model.turns_ratio, model.droop_Ohm, section.charge.voltage_max_V)
 
 
 # Samples of an experiment, and means over parts of them.
@@ -357,14 +330,15 @@ class ExperimentCourse:
         Raises:
             CommissionError: They would not.
         """
-        onset = self.target.onset
-        if onset is None:
+        battery = self.target.battery
+        if battery is None:
             return
-        terminal_V = onset.terminal_V(voltage_V, output)
-        if terminal_V > onset.terminal_max_V:
+        highest_V = battery.charge.voltage_max_V
+        terminal_V = battery.model.turns_ratio * voltage_V - battery.model.droop_Ohm * output
+        if terminal_V > highest_V:
             raise CommissionError(
                 f"{terminal_V:.4g} V at the terminals would be above load.charge.voltage_max_V = "
-                f"{onset.terminal_max_V:g} V: the battery is too full for the experiment"
+                f"{highest_V:g} V: the battery is too full for the experiment"
             )
 
     def recent(self, duration_s: float) -> float:

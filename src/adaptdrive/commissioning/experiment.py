@@ -77,7 +77,7 @@ class Switching:
             if not course.look_is_due():
                 continue
             self._look_at_band()
-            if course.target.onset is None and self._bounds.heads_for_edge():
+            if course.target.battery is None and self._bounds.heads_for_edge():
                 self._back_off()
 
     def _back_off(self) -> None:
@@ -92,7 +92,7 @@ class Switching:
         course, target, rest = self._course, self._course.target, self._outcome.rest
         noise = course.margin(0.0)
         fall = _BAND * target.move + noise
-        if target.onset is not None:
+        if target.battery is not None:
             fall = min(_DRIFTING_BAND * target.move + noise, _DRIFTING_LEAST * target.move)
         low = rest - fall
         high = rest + (1.0 + _BAND) * target.move + noise
@@ -200,7 +200,7 @@ class Climb:
                 raise self._no_response(moved, raised_V)
             growth = _SLOW_GROWTH if self._retreats else _GROWTH
             larger = growth * step  # as far as the credible loads allow; a battery's current jumps
-            if target.onset is None:
+            if target.battery is None:
                 larger = self.bounds.largest_step(larger)
             step = max(step, larger)
         raise CommissionError(
@@ -213,7 +213,7 @@ class Climb:
         """Choose the level at which no credible load moves the output further than asked for."""
         course, target, base_V, rest = self._course, self._course.target, self._base_V, self._before
         gain = moved / (target.to_input(raised_V) - target.to_input(base_V))
-        if target.onset is None:
+        if target.battery is None:
             gain = min(max(gain, self.bounds.gain), gain / _LEAST_LEVEL)
         high_V = target.raised_V(base_V, target.move / gain)
         course.look_at_terminals(high_V, rest + target.move)
@@ -224,7 +224,7 @@ class Climb:
     def _follow(self, moved: float) -> None:
         """Wait for no longer than a response takes that was seen from its begin to its rest."""
         course = self._course
-        if course.target.onset is None and moved > course.margin(_SEEN):
+        if course.target.battery is None and moved > course.margin(_SEEN):
             wait_s = max(_RESPONSES * self._time_to_rest(), _LEAST_WAIT * course.target.patience_s)
             course.wait_s = min(course.wait_s, wait_s)
 
@@ -247,7 +247,7 @@ class Climb:
                 )
             yield True
         moved = self._course.rest - self._before
-        if target.onset is None:
+        if target.battery is None:
             return moved
         slewed_s = began_s + abs(voltage_V - before_V) / _SLOWEST_SLEW_V_PER_S
         nearly_V = before_V + _ARRIVED * (voltage_V - before_V)
@@ -258,7 +258,7 @@ class Climb:
     def _is_too_far(self, moved: float) -> bool:
         """Return whether the output has moved too far, or would although V_c went back now."""
         course = self._course
-        heading = course.target.onset is None and self.bounds.heads_for_edge()
+        heading = course.target.battery is None and self.bounds.heads_for_edge()
         return heading or moved > _TOO_FAR * course.target.move
 
     def _retreat(self, step: float) -> Steps[float]:
@@ -270,7 +270,7 @@ class Climb:
         for _ in range(_LONGEST_RETURN):
             for _ in until_rest(course):
                 peak = max(peak, course.recent(course.smooth_s) - self._before)
-                if target.onset is None:
+                if target.battery is None:
                     self.bounds.heads_for_edge()
                 yield True
             if abs(self._course.rest - self._before) <= course.margin(_BACK):
@@ -278,7 +278,7 @@ class Climb:
         self._before = self._course.rest
         least, largest = _AFTER_RETREAT
         share = largest * target.move / max(peak, 1e-9 * target.move)
-        if target.onset is None:
+        if target.battery is None:
             share = largest * target.move / (self.bounds.gain * step)
         return step * min(max(least, share), largest)
 
@@ -299,7 +299,7 @@ class Climb:
         course, record = self._course, self._course.record
         began_s = self._raised_s
         elapsed_s = course.time_s - began_s
-        if course.target.onset is not None:
+        if course.target.battery is not None:
             return elapsed_s
         rest = course.rest
         start = record.mean(began_s - course.smooth_s, began_s)
@@ -353,7 +353,7 @@ class LoadExperiment:
     def _run(self) -> Steps[None]:
         """Run all phases, one step for each sample."""
         course, base_V = self.course, self.course.target.low_V
-        if course.target.onset is not None:
+        if course.target.battery is not None:
             course.phase = Phase.ONSET
             base_V = yield from find_onset(course)
         yield from until_rest(course)

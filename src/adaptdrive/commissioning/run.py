@@ -154,7 +154,7 @@ def announcement(path: Path, drive: str, move_share: float, patience_s: float | 
     """
     configuration = _configuration_of(drive, read_text(path), path)
     target = build_target(configuration, move_share, patience_s)
-    given, onset = target.given, "" if target.onset is None else ", until a current flows,"
+    given, onset = target.given, "" if target.battery is None else ", until a current flows,"
     return (
         f"{drive} is enabled in mode manual. {given.symbol} rises from "
         f"{given.text(target.low_V, 'g')}{onset} until {target.name} has moved by "

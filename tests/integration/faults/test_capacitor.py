@@ -192,7 +192,7 @@ def test_a_capacitor_that_has_fallen_to_the_peak_of_the_line_is_charged_again(
     course.daemon.accepts(SetSetpoint(low + share * (high - low)))
     step, left = course.drive.world.step, [lost_ticks]
 
-    def lost(_: float, bridge: bool) -> Sample:
+    def lost(current_scale_S: float, bridge: bool) -> Sample:
         left[0] -= 1
         return step(0.0, bridge)
 

@@ -170,10 +170,11 @@ def test_a_value_that_is_not_finite_is_refused() -> None:
 def test_a_full_battery_is_refused() -> None:
     random = np.random.default_rng(0)
     draw = KINDS["battery"](random)
-    onset = draw.target.onset
-    assert onset is not None
-    full = replace(onset, terminal_max_V=0.8 * onset.terminal_max_V)
-    rig, experiment = Rig(draw, random), LoadExperiment(replace(draw.target, onset=full))
+    battery = draw.target.battery
+    assert battery is not None
+    lower_V = {"voltage_max_V": 0.8 * battery.charge.voltage_max_V}
+    full = battery.model_copy(update={"charge": battery.charge.model_copy(update=lower_V)})
+    rig, experiment = Rig(draw, random), LoadExperiment(replace(draw.target, battery=full))
     with pytest.raises(CommissionError, match=r"is too full for the experiment"):
         finish(experiment, rig)
 
