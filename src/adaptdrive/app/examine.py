@@ -41,21 +41,22 @@ def examine_text(text: str, path: Path) -> Configuration:
     Raises:
         ConfigurationError: There are flaws; those of every kind are listed.
     """
-    findings = file.find_flaws(text, path)
-    flaws = file.added(findings.flaws, _description_flaws(findings, path))
-    if not findings.flaws:
-        flaws = (*flaws, *implausible(findings.configuration))
-    if flaws:
-        raise ConfigurationError(path, flaws)
-    return findings.configuration
+    configuration, _, flaws = findings = file.find_flaws(text, path)
+    found = file.added(flaws, _description_flaws(findings, path))
+    if not flaws:
+        found = (*found, *implausible(configuration))
+    if found:
+        raise ConfigurationError(path, found)
+    return configuration
 
 
 def _description_flaws(findings: file.Findings, path: Path) -> Iterator[Flaw]:
     """Yield the errors in the files and maps that describe drive and sensors."""
-    configuration, whole = findings.configuration, findings.valid >= _OF_PORT
-    if whole and _leads_somewhere(findings):
+    configuration, valid, flaws = findings
+    whole = valid >= _OF_PORT
+    if whole and _leads_somewhere(configuration, flaws):
         yield from _flaws_of(lambda: ports.build_port(configuration, now_s, path))
-    if "sensor_bus" not in findings.valid:
+    if "sensor_bus" not in valid:
         return
     demands = demands_of(configuration) if whole else NO_DEMANDS
     for number, bus in enumerate(configuration.sensor_bus):
@@ -64,11 +65,11 @@ def _description_flaws(findings: file.Findings, path: Path) -> Iterator[Flaw]:
         yield from _flaws_of(build)
 
 
-def _leads_somewhere(findings: file.Findings) -> bool:
+def _leads_somewhere(configuration: Configuration, flaws: Iterable[Flaw]) -> bool:
     """Return whether names in `[signals]` can be looked up, which needs a valid register map."""
-    if not isinstance(findings.configuration.bus, polled.ModbusBus | polled.ScpiBus):
+    if not isinstance(configuration.bus, polled.ModbusBus | polled.ScpiBus):
         return True
-    return not any(flaw.place.startswith(("bus", "signals")) for flaw in findings.flaws)
+    return not any(flaw.place.startswith(("bus", "signals")) for flaw in flaws)
 
 
 def _flaws_of(build: Callable[[], object]) -> tuple[Flaw, ...]:

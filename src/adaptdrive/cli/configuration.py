@@ -327,10 +327,10 @@ def _advise(config: Path, text: str) -> None:
     """Print the warnings, also where values that contradict each other are refused after them."""
     from adaptdrive.app.examine import advice  # noqa: PLC0415
 
-    findings = find_flaws(text, config)
-    if not findings.flaws:
+    configuration, _, flaws = find_flaws(text, config)
+    if not flaws:
         with suppress(ConfigurationError):  # of a DBC, EDS or register map: refused later
-            for one in advice(findings.configuration):
+            for one in advice(configuration):
                 _warn(config, one)
 
 

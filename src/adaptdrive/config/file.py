@@ -5,7 +5,6 @@ import hashlib
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -36,20 +35,10 @@ _LONGEST = 1_000_000
 Keys = tuple[int | str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Findings:
-    """Contents of a file, as far as they are valid.
-
-    Attributes:
-        configuration: Its sections.
-        valid: Names of those that are valid, if need be without their flawed keys; the others are
-            missing.
-        flaws: Everything that is wrong so far.
-    """
-
-    configuration: Configuration
-    valid: frozenset[str]
-    flaws: tuple[Flaw, ...]
+Findings = tuple[Configuration, frozenset[str], tuple[Flaw, ...]]
+"""Contents of a file as far as they are valid: its sections, and the names of those that are valid,
+if need be without their flawed keys; the others are missing. And everything that is wrong so far.
+"""
 
 
 def load_configuration(path: Path) -> Configuration:
@@ -121,10 +110,10 @@ def validate_configuration(tables: dict[str, Any], source: Path) -> Configuratio
     Raises:
         ConfigurationError: As for `load_configuration`.
     """
-    findings = _examine(tables, source.parent)
-    if findings.flaws:
-        raise ConfigurationError(source, findings.flaws)
-    return findings.configuration
+    configuration, _, flaws = _examine(tables, source.parent)
+    if flaws:
+        raise ConfigurationError(source, flaws)
+    return configuration
 
 
 def _tables(text: str, source: Path) -> dict[str, Any]:
@@ -154,7 +143,7 @@ def _examine(tables: dict[str, Any], folder: Path) -> Findings:
         doubtful = {str(error["loc"][0]) for error in errors if error["type"] != _UNKNOWN}
         sections = _valid_sections(tables, folder)
         whole, valid = Configuration.model_construct(None, **sections), frozenset(sections)
-    return Findings(whole, valid, added(flaws, consistency_flaws(whole, valid - doubtful)))
+    return whole, valid, added(flaws, consistency_flaws(whole, valid - doubtful))
 
 
 def added(flaws: Sequence[Flaw], more: Iterable[Flaw]) -> tuple[Flaw, ...]:
