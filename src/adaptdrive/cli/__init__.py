@@ -85,7 +85,7 @@ def _daemon(words: Sequence[str]) -> Callable[[], object] | None:
 
 
 def run(config: Path, /) -> int:
-    """Run the daemon for one drive until a signal stops it; imports nothing but what it needs.
+    """Run the daemon for one drive until a signal stops it.
 
     Args:
         config: Configuration file.

@@ -33,23 +33,23 @@ if TYPE_CHECKING:  # no command needs it for its help
 # The commands.
 
 _COMMANDS = {
-    "init": ("configuration", "Write a first configuration for a load and a bus."),
-    "start": ("desk", "Run a drive on a desk: its daemon, a broker, the panel, and the view."),
-    "run": ("run", "Run the daemon for one drive until a signal stops it."),
-    "check": ("configuration", "Validate a configuration; list every error with its place."),
-    "schema": ("configuration", "Print the JSON Schema of the configuration, for editors."),
-    "probe": ("probe", "Show decoded measurements from the bus; command nothing."),
-    "replay": ("sessions", "Run the controller again on a recorded session."),
-    "events": ("sessions", "Show the events of a recorded session."),
-    "plot": ("analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
-    "identify": ("analysis", "Identify the load from a session or a CSV file, with error bars."),
-    "whatif": ("analysis", "Run a session again in closed loop with other settings."),
-    "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
-    "commission": ("analysis", "Measure an unknown load on its drive, and propose the settings."),
-    "panel": ("desk", "Serve the panel, a web page for a broker's drives, on this machine."),
-    "watch": ("operate", "Show a drive live in the terminal, with keys for the commands."),
-    "status": ("operate", "Show the state and the telemetry of a drive."),
-    "manual": ("operate", "Hold the present V_c until the command voltage."),
+    "init": (".configuration", "Write a first configuration for a load and a bus."),
+    "start": (".desk", "Run a drive on a desk: its daemon, a broker, the panel, and the view."),
+    "run": ("", "Run the daemon for one drive until a signal stops it."),
+    "check": (".configuration", "Validate a configuration; list every error with its place."),
+    "schema": (".configuration", "Print the JSON Schema of the configuration, for editors."),
+    "probe": (".probe", "Show decoded measurements from the bus; command nothing."),
+    "replay": (".sessions", "Run the controller again on a recorded session."),
+    "events": (".sessions", "Show the events of a recorded session."),
+    "plot": (".analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
+    "identify": (".analysis", "Identify the load from a session or a CSV file, with error bars."),
+    "whatif": (".analysis", "Run a session again in closed loop with other settings."),
+    "export": (".analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
+    "commission": (".analysis", "Measure an unknown load on its drive, and propose the settings."),
+    "panel": (".desk", "Serve the panel, a web page for a broker's drives, on this machine."),
+    "watch": (".operate", "Show a drive live in the terminal, with keys for the commands."),
+    "status": (".operate", "Show the state and the telemetry of a drive."),
+    "manual": (".operate", "Hold the present V_c until the command voltage."),
 }
 
 # Where an argument may be left out: cyclopts calls it [ARGS] in the first line of --help.
@@ -109,7 +109,7 @@ def build_app() -> App:
     )
     for name, (module, purpose) in _COMMANDS.items():
         # By name, so that a command imports what it needs and no other command does.
-        path = f"adaptdrive.cli.{module}:{name}"
+        path = f"adaptdrive.cli{module}:{name}"
         app.command(path, name=name, help=purpose, usage=_usage(name))
     for verb, request in REQUESTS.items():
         path = f"adaptdrive.cli.operate:{verb}"
