@@ -136,13 +136,11 @@ def _look_ahead(
     alone = state.blend >= 1.0 and sample.adaptive and load.charging is None
     known = len(sample.upcoming) > 0 and state.supervisor.verdict == supervisor.Verdict.TRUSTED
     if not (known and alone and settings.exact):
-        rest(state.preview, state.reference_filter.course)
+        rest(state.reference_filter)
         return math.nan
     references = led_references(reference, state.reference, sample.upcoming, lead)
     return plan(
-        state.preview,
-        state.reference_filter.course,
-        state.reference_filter.asked,
+        state.reference_filter,
         state.trusted_a,
         state.trusted_b,
         references,
@@ -282,7 +280,7 @@ def _expected_output(state: SlowState, sample: SlowSample, reference: float) -> 
         if sample.manual:
             state.expected[i] = sample.output
         value = state.expected[i]
-    return value + state.preview.moved
+    return value + state.reference_filter.moved
 
 
 def _highest(load: Load, state: SlowState, sample: SlowSample, reference: float) -> float:

@@ -15,9 +15,17 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 from adaptdrive.control.design.pole_placement import asked_loop, discrete_model
-from adaptdrive.control.design.reference import AHEAD, MOVES, UNREST, PreviewState, minimise, plan
+from adaptdrive.control.design.reference import (
+    AHEAD,
+    MOVES,
+    UNREST,
+    ReferenceFilter,
+    minimise,
+    plan,
+)
 from adaptdrive.control.slow import slow_step
 from adaptdrive.control.supervision.state import SlowState
+from adaptdrive.control.vectors import shift_in
 from tests.integration.closed_loop.bench import EXACT, MOTOR
 from tests.unit.control.test_slow_half import SAMPLE, SETTINGS, known
 
@@ -33,9 +41,12 @@ class Loop:
         values = MOTOR.realise([0.011, 10.0 + 11.7 * disks, 117.0 * disks])
         self.a, self.b = discrete_model(EXACT, MOTOR, *values, 1.0)
         self.asked = asked_loop(self.b, 2, POLE)
-        self.course = [REST] * 7
-        self.state = PreviewState([REST] * 7)
+        self.state = ReferenceFilter(self.asked, [], [REST] * 7, [REST] * 7)
         self.last, self.free, self.beyond = REST / self.gain, True, beyond
+
+    @property
+    def course(self) -> list[float]:
+        return self.state.course
 
     @property
     def gain(self) -> float:
@@ -43,10 +54,10 @@ class Loop:
 
     def step(self, references: list[float]) -> float:
         """One slow period; the input that the new course needs."""
-        known = (self.asked, self.a, self.b, references)
+        known = (self.a, self.b, references)
         limits = (POLE, LOW, HIGH, self.beyond)
-        self.course.insert(0, plan(self.state, self.course, *known, self.last, self.free, *limits))
-        self.course.pop()
+        found = plan(self.state, *known, self.last, self.free, *limits)
+        shift_in(self.course, found)
         self.last = float(np.dot(self.a, self.course[: len(self.a)])) / sum(self.b)
         return self.last
 

@@ -47,23 +47,30 @@ from adaptdrive.control.vectors import Vector
 
 @dataclass(slots=True)
 class ReferenceFilter:
-    """Reference filter of the adaptive law.
+    """Reference filter of the adaptive law, and what its preview has planned.
 
     Attributes:
         asked: A_m; zeros before there is a design.
         loop: A_c.
         course: m[k] ... m[k-n].
+        ideal: m*[k] ... m*[k-n].
+        offset: f; NaN while nothing is planned.
+        moved: m[k] - m*[k].
     """
 
     asked: Vector
     loop: Vector
     course: Vector
+    ideal: Vector
+    offset: float = math.nan
+    moved: float = 0.0
 
 
 def new_reference_filter(order: int, taps: int) -> ReferenceFilter:
     """Return a filter without a design, whose course begins at the first reference."""
     count = order + taps + 1
-    return ReferenceFilter([0.0] * (2 * order + 1), [0.0] * count, [math.nan] * count)
+    unknown = [math.nan] * count
+    return ReferenceFilter([0.0] * (2 * order + 1), [0.0] * count, unknown, list(unknown))
 
 
 def filter_reference(state: ReferenceFilter, reference: float, planned: float = math.nan) -> float:
@@ -181,21 +188,6 @@ UNREST = 0.01
 """w: price of a change of the input over that of the same error in one period."""
 
 
-@dataclass(slots=True)
-class PreviewState:
-    """State of the preview.
-
-    Attributes:
-        course: m*[k] ... m*[k-n].
-        offset: f.
-        moved: m[k] - m*[k].
-    """
-
-    course: Vector
-    offset: float = math.nan
-    moved: float = 0.0
-
-
 def led_references(reference: float, last: float, upcoming: Vector, lead: float) -> Vector:
     """Return r'[k] and those to come.
 
@@ -213,21 +205,14 @@ def led_references(reference: float, last: float, upcoming: Vector, lead: float)
     return led
 
 
-def rest(state: PreviewState, course: Vector) -> None:
-    """Plan nothing: the course asked for is the one in force.
-
-    Args:
-        state: Overwritten.
-        course: m[k-1] ... m[k-1-n].
-    """
-    vectors.copy_into(state.course, course)
+def rest(state: ReferenceFilter) -> None:
+    """Plan nothing: the course asked for is the one in force."""
+    vectors.copy_into(state.ideal, state.course)
     state.offset, state.moved = math.nan, 0.0
 
 
 def plan(
-    state: PreviewState,
-    course: Vector,
-    asked: Vector,
+    state: ReferenceFilter,
     a: Vector,
     b: Vector,
     references: Vector,
@@ -241,9 +226,7 @@ def plan(
     """Return m[k]: that of the law where it keeps the limits.
 
     Args:
-        state: Overwritten.
-        course: m[k-1] ... m[k-1-n].
-        asked: A_m.
+        state: A_m and m[k-1] ... m[k-1-n]; ideal course, offset and movement are overwritten.
         a: A of the model.
         b: B of the model.
         references: r'[k] and those to come.
@@ -254,17 +237,17 @@ def plan(
         high: Highest input.
         beyond: How far the law may go beyond a limit before its course gives way.
     """
-    past = len(course)
-    last = follow(a, course, 0.0, references)
+    past, asked = len(state.course), state.asked
+    last = follow(a, state.course, 0.0, references)
     added = last_input - _needed(a, b, last, past - 1)
     if not math.isfinite(state.offset):
         state.offset = added if free else 0.0
     below, above = last_input <= low, last_input >= high
     if free or (below and added < state.offset) or (above and added > state.offset):
         state.offset += (1.0 - pole) * (added - state.offset)
-    ideal = follow(asked, state.course, vectors.total(asked), references)
-    vectors.shift_in(state.course, ideal[past])
-    law = follow(asked, course, vectors.total(asked), references)
+    ideal = follow(asked, state.ideal, vectors.total(asked), references)
+    vectors.shift_in(state.ideal, ideal[past])
+    law = follow(asked, state.course, vectors.total(asked), references)
     bottom, top = low - state.offset, high - state.offset
     found = law[past]
     if not _keeps(a, b, law, past, bottom - beyond, top + beyond):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from adaptdrive.control import signals, thresholds
 from adaptdrive.control.design import noise, pole_placement
-from adaptdrive.control.design.reference import PreviewState, ReferenceFilter, new_reference_filter
+from adaptdrive.control.design.reference import ReferenceFilter, new_reference_filter
 from adaptdrive.control.estimation.estimator import EstimatorState, new_estimator, nominal_theta
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.battery import ChargeState
@@ -72,7 +72,7 @@ class SlowState:
         equation: That of A and B (`pole_placement`), NaNs before the first.
         trusted_a: A of the last trusted estimate.
         trusted_b: B of it.
-        reference_filter: Reference filter of the adaptive law.
+        reference_filter: Reference filter of the adaptive law, and its preview.
         new_loop: A_c of the design of this period.
         circle: What margins need of the unit circle (`noise`).
         expected: Response to the reference that was asked for, a lag for each pole.
@@ -86,7 +86,6 @@ class SlowState:
         unresponsive: Whether the load has stopped to answer.
         cycles: The watch over the fixed law.
         probe: The probing.
-        preview: The preview.
         cycling: Whether the fixed law is in a limit cycle.
     """
 
@@ -113,7 +112,6 @@ class SlowState:
     watch: MonitorState
     cycles: LimitCycleState
     probe: ProbeState
-    preview: PreviewState
     model_a: Vector
     model_b: Vector
     equation: Vector
@@ -167,7 +165,6 @@ def new_slow_state(
         watch=MonitorState(fast=resting, slow=resting),
         cycles=LimitCycleState(),
         probe=ProbeState(),
-        preview=PreviewState([math.nan] * (load.order + taps + 1)),
         model_a=[1.0] + [0.0] * load.order,
         model_b=[0.0] * (taps + 1),
         equation=[math.nan] * ((load.order + taps) * (load.order + taps + 1)),
