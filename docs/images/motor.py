@@ -14,7 +14,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adaptdrive.analysis import style
+from adaptdrive.analysis import figures
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import (
     Case,
@@ -35,10 +35,10 @@ def run(variant: Variant) -> Run:
     return run_case(Case(MOTOR, variant, settings, NoiseParameters(MOTOR.noise), seed=0))
 
 
-def draw_speed(axes: Axes, record: Run, look: style.Look, title: str) -> None:
+def draw_speed(axes: Axes, record: Run, look: figures.Look, title: str) -> None:
     """Speed and reference."""
     minutes = record["time_s"] / 60.0
-    axes.step(minutes, record["reference"], where="post", **style.REFERENCE)
+    axes.step(minutes, record["reference"], where="post", **figures.REFERENCE)
     axes.plot(minutes, record["output"], **(look | {"linewidth": 1.3}))
     axes.set_title(title, color=look["color"])
     axes.set_ylabel("speed (V)")
@@ -53,8 +53,8 @@ def draw_inertia(axes: Axes, record: Run) -> None:
     )[2]
     minutes = record["time_s"] / 60.0
     learnt = record["tau_product_s2"] / nominal_s
-    axes.step(minutes, record["size"], where="post", **style.TRUTH)
-    axes.plot(minutes, learnt, **(style.ADAPTIVE | {"linewidth": 1.3}))
+    axes.step(minutes, record["size"], where="post", **figures.TRUTH)
+    axes.plot(minutes, learnt, **(figures.ADAPTIVE | {"linewidth": 1.3}))
     axes.set_title("Inertia as the adaptive controller has learnt it, and the truth (dashed)")
     axes.set_ylabel("disks")
     axes.set_ylim(0.7, 3.4)
@@ -63,11 +63,11 @@ def draw_inertia(axes: Axes, record: Run) -> None:
 
 def draw(fixed: Run, adaptive: Run, path: Path) -> None:
     """The whole picture."""
-    with style.journal():
-        figure = Figure(figsize=(style.WIDTH_in, 4.3), layout="constrained")
+    with figures.journal():
+        figure = Figure(figsize=(figures.WIDTH_in, 4.3), layout="constrained")
         axes = figure.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.3, 0.8))
-        draw_speed(axes[0], fixed, style.FIXED, "Fixed controller, designed for one disk")
-        draw_speed(axes[1], adaptive, style.ADAPTIVE, "Adaptive controller")
+        draw_speed(axes[0], fixed, figures.FIXED, "Fixed controller, designed for one disk")
+        draw_speed(axes[1], adaptive, figures.ADAPTIVE, "Adaptive controller")
         draw_inertia(axes[2], adaptive)
         for one in axes:
             for change in MOTOR.changes:

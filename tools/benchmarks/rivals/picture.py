@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adaptdrive.analysis import style
+from adaptdrive.analysis import figures
 from adaptdrive.analysis.figures import as_png
 from tools.benchmarks.rivals.cases import CASES, MOTORS
 from tools.benchmarks.rivals.runs import run_of
@@ -28,8 +28,8 @@ LEAST = 0.01
 
 def draw(result: dict[str, Any]) -> bytes:
     """Draw it as a PNG."""
-    with style.journal():
-        figure = Figure(figsize=(style.WIDTH_in, 3.4), layout="constrained")
+    with figures.journal():
+        figure = Figure(figsize=(figures.WIDTH_in, 3.4), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
         _responses(left)
         _errors(right, result)
@@ -38,10 +38,10 @@ def draw(result: dict[str, Any]) -> bytes:
         return as_png(figure)
 
 
-def _look(name: str) -> style.Look:
+def _look(name: str) -> figures.Look:
     """Colour and form; the one in question is small, filled and on top."""
     _, color, marker, _ = LOOKS[name]
-    look: style.Look = {"color": color, "marker": marker, "linestyle": "none"}
+    look: figures.Look = {"color": color, "marker": marker, "linestyle": "none"}
     if name == "adaptive":
         return look | {"markersize": 3.5, "zorder": 4}
     return look | {"markersize": 5.5, "markerfacecolor": "none", "zorder": 3}
@@ -51,7 +51,7 @@ def _responses(axes: Axes) -> None:
     stand = CASES["B"].stand(0)
     shown = (stand.times_s >= FROM_s) & (stand.times_s < TO_s)
     time_s = stand.times_s[shown] - FROM_s
-    axes.step(time_s, stand.references[shown], where="post", **style.REFERENCE)
+    axes.step(time_s, stand.references[shown], where="post", **figures.REFERENCE)
     for place, name in enumerate(SHOWN):
         output = run_of(CASES["B"].stand(0), name)["output"][shown]
         look = _look(name) | {"linestyle": LOOKS[name][3], "linewidth": 1.2}
@@ -59,7 +59,7 @@ def _responses(axes: Axes) -> None:
     axes.set_xlim(0.0, TO_s - FROM_s)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("speed (tachometer volts)")
-    style.letter(axes, "a", "three disks in place of one")
+    figures.letter(axes, "a", "three disks in place of one")
 
 
 def _errors(axes: Axes, result: dict[str, Any]) -> None:
@@ -74,4 +74,4 @@ def _errors(axes: Axes, result: dict[str, Any]) -> None:
     axes.grid(axis="y", color="0.9", linewidth=0.6)
     axes.set_xlabel("rms deviation (% of the step), median of 20 seeds")
     axes.tick_params(axis="y", length=0.0)
-    style.letter(axes, "b", "the cases of a motor")
+    figures.letter(axes, "b", "the cases of a motor")

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from adaptdrive.analysis import style
+from adaptdrive.analysis import figures
 from adaptdrive_sim.experiments.case import ReproduceRequest, Variant, run_case
 from adaptdrive_sim.experiments.experiment import DROPPED, LoadChange
 from adaptdrive_sim.experiments.figure import experiment_figure
@@ -32,7 +32,7 @@ def outcome() -> Outcome:
 
 @pytest.fixture(scope="module")
 def figure(outcome: Outcome) -> Figure:
-    with style.journal():
+    with figures.journal():
         drawn = experiment_figure(outcome)
         FigureCanvasAgg(drawn).draw()  # type: ignore[no-untyped-call]
     return drawn
