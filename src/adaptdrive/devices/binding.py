@@ -17,8 +17,8 @@ from typing import Any, Generic, Literal
 
 from adaptdrive.config import bus, root, section
 from adaptdrive.devices import description, faults
-from adaptdrive.devices.description import Source
-from adaptdrive.devices.field import Field, Item, Sink
+from adaptdrive.devices.description import Item, Sink, Source
+from adaptdrive.devices.field import Field
 from adaptdrive.util.errors import Flaw, nearest
 
 Use = Literal["measured", "word", "state", "command", "constant", "setup"]

@@ -15,7 +15,6 @@ from typing import Any, TypeVar
 from adaptdrive.config import Configuration, bus
 from adaptdrive.config.timing import Timing
 from adaptdrive.devices import description
-from adaptdrive.devices.field import Sink
 from adaptdrive.devices.port import Port, PortStatistics, SensorPort
 from adaptdrive.util import clock, errors
 
@@ -213,7 +212,7 @@ _LEAST_S = 0.1
 """Shortest time of a level: drives look at such a bit every few milliseconds."""
 
 
-async def pulse_reset(sinks: Iterable[Sink[Any]], reading_s: float) -> None:
+async def pulse_reset(sinks: Iterable[description.Sink[Any]], reading_s: float) -> None:
     """Switch the reset of a fault on and off with the next commands; nothing where there is none.
 
     Args:

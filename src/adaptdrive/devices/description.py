@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import shorten
+from threading import Event
 from typing import Generic, TypeVar
 
-from adaptdrive.config import Configuration, section
+from adaptdrive.config import Configuration, bus, section
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.faults import FaultWord
-from adaptdrive.devices.field import Field, Item
+from adaptdrive.devices.field import Field
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Files that describe a drive: read whole, and never waited for.
@@ -119,7 +120,9 @@ def demands_of(configuration: Configuration) -> Demands:
     )
 
 
-# Where a quantity comes from.
+# Where a quantity comes from, and where a part of the command goes to.
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +156,42 @@ class Source(Generic[Item]):
     slack_s: float = 0.0
     cycle_by: str = ""
     cycle_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sink(Generic[Item]):
+    """Destination of a part of the command: base + factor × that field of `Command`.
+
+    Attributes:
+        name: Field of `Command`; the reference of a constant, whose factor is 0.
+        item: What the description of the device has for it.
+        field: How that is coded.
+        base: Value of the field of the device where that of the command is 0 or False.
+        factor: Units of the field per unit of that of the command.
+        only: Bridge of the commands that it is written with, None for all.
+        reset: Set while the reset of a fault is given, which takes the place of that field.
+    """
+
+    name: str
+    item: Item
+    field: Field
+    base: float
+    factor: float
+    only: bool | None = None
+    reset: Event | None = None
+
+    @property
+    def is_commanded(self) -> bool:
+        """True for a part of the command that is no constant, and no copy of what is measured."""
+        return self.reset is not None or self.name in bus.COMMANDED
+
+    def value(self, command: Command) -> float:
+        """The value in the unit of the field."""
+        if not self.factor:
+            return self.base
+        if self.reset is not None:  # only of a drive that is off
+            return self.base + self.factor * (self.reset.is_set() and not command.bridge)
+        return self.base + self.factor * float(getattr(command, self.name))
 
 
 # Proposal of the signal of each quantity, by unit and by name.

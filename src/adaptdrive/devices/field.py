@@ -1,4 +1,4 @@
-"""One value that a device has: its code, what its codes mean, and what a command writes to it.
+"""One value that the description of a device has: how it is coded, and which codes mean something.
 
 A DBC, an EDS and a register map describe it in three ways; here it is the same for all of them.
 """
@@ -6,11 +6,6 @@ A DBC, an EDS and a register map describe it in three ways; here it is the same 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from threading import Event
-from typing import Generic, TypeVar
-
-from adaptdrive.config.bus import COMMANDED
-from adaptdrive.control.signals import Command
 
 Raw = int | float
 
@@ -140,44 +135,3 @@ def declared_limits(
     if isinstance(low, float):
         return max(low, first), min(high, last)
     return max(low, math.ceil(first - _ROUNDING)), min(high, math.floor(last + _ROUNDING))
-
-
-# Where a part of the command goes to.
-
-Item = TypeVar("Item")
-
-
-@dataclass(frozen=True, slots=True)
-class Sink(Generic[Item]):
-    """Destination of a part of the command: base + factor × that field of `Command`.
-
-    Attributes:
-        name: Field of `Command`; the reference of a constant, whose factor is 0.
-        item: What the description of the device has for it.
-        field: How that is coded.
-        base: Value of the field of the device where that of the command is 0 or False.
-        factor: Units of the field per unit of that of the command.
-        only: Bridge of the commands that it is written with, None for all.
-        reset: Set while the reset of a fault is given, which takes the place of that field.
-    """
-
-    name: str
-    item: Item
-    field: Field
-    base: float
-    factor: float
-    only: bool | None = None
-    reset: Event | None = None
-
-    @property
-    def is_commanded(self) -> bool:
-        """True for a part of the command that is no constant, and no copy of what is measured."""
-        return self.reset is not None or self.name in COMMANDED
-
-    def value(self, command: Command) -> float:
-        """The value in the unit of the field."""
-        if not self.factor:
-            return self.base
-        if self.reset is not None:  # only of a drive that is off
-            return self.base + self.factor * (self.reset.is_set() and not command.bridge)
-        return self.base + self.factor * float(getattr(command, self.name))

@@ -13,7 +13,6 @@ from adaptdrive.devices.can import database
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.faults import FaultWord
-from adaptdrive.devices.field import Sink
 from adaptdrive.util.errors import Flaw
 
 # What the messages of a drive carry.
@@ -42,9 +41,9 @@ class CommandFrame:
     """
 
     codec: MessageCodec
-    parts: Mapping[str, Sink[database.Located]]
+    parts: Mapping[str, description.Sink[database.Located]]
     fixed: Mapping[str, float]
-    copies: Mapping[str, Sink[database.Located]]
+    copies: Mapping[str, description.Sink[database.Located]]
     every_s: float = 0.0
 
     def encode(self, command: Command, measured: Mapping[str, float] = _NOTHING) -> bytes:

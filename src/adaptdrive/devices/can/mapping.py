@@ -24,7 +24,6 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.can import assembly, database, layout
 from adaptdrive.devices.can.codec import MessageCodec
-from adaptdrive.devices.field import Sink
 from adaptdrive.util.errors import ConfigurationError, nearest
 
 LONGEST_STALE_S = 10.0
@@ -32,7 +31,7 @@ LONGEST_STALE_S = 10.0
 
 
 _Source = description.Source[database.Located]
-_Part = Sink[database.Located]
+_Part = description.Sink[database.Located]
 
 _Cycle = tuple[float, str, Message]
 """Time from one frame of a signal to the next, the key or attribute of it, and its message."""
@@ -218,7 +217,7 @@ def _copies(
             field = catalogue.field(item, "command")
             catalogue.check_unit(entry, field, demands.unit_of(name), place)
             base, factor = -entry.offset / entry.scale, 1.0 / entry.scale
-            yield Sink(name, item, field, base, factor)
+            yield description.Sink(name, item, field, base, factor)
 
 
 def find_orders(

@@ -22,7 +22,6 @@ from adaptdrive.devices.canopen import dictionary
 from adaptdrive.devices.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
 from adaptdrive.devices.faults import FaultWord
-from adaptdrive.devices.field import Sink
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Process data objects: packing entries into frames, and the codec of each frame.
@@ -117,7 +116,7 @@ def _signal(entry: Entry, start: int) -> Signal:
 
 # Mapping of objects to quantities: checks the configuration against its EDS.
 
-Bound = TypeVar("Bound", description.Source[Entry], Sink[Entry])
+Bound = TypeVar("Bound", description.Source[Entry], description.Sink[Entry])
 
 _OPTIONAL = (
     dictionary.SYNC_ID,
@@ -160,7 +159,7 @@ class CommandPdo:
 
     pdo: Pdo
     codec: MessageCodec
-    sinks: tuple[Sink[Entry], ...]
+    sinks: tuple[description.Sink[Entry], ...]
 
     def encode(self, command: Command, word: int) -> tuple[int, bytes]:
         """Return the id and the bytes of its frame.

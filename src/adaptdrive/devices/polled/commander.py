@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable
 from adaptdrive.config.references import DAY_S
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices import binding, faults
-from adaptdrive.devices.field import Sink
+from adaptdrive.devices import binding, description, faults
 from adaptdrive.devices.polled import reports
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, block_words
@@ -49,12 +48,12 @@ class WritePace:
         self._written_s[block] = self._clock()
 
 
-def _has_switch(sinks: Iterable[Sink[Named]]) -> bool:
+def _has_switch(sinks: Iterable[description.Sink[Named]]) -> bool:
     """Return whether a block has the switch of the bridge, by which a stop begins."""
     return any(sink.name == binding.BRIDGE and sink.factor != 0.0 for sink in sinks)
 
 
-def _least_s(sinks: Iterable[Sink[Named]]) -> float:
+def _least_s(sinks: Iterable[description.Sink[Named]]) -> float:
     """Return the least time between two writes, 0 for registers that endure any number."""
     limits = (one.item.register.write_limit for one in sinks)
     return max((DAY_S / limit for limit in limits if limit is not None), default=0.0)

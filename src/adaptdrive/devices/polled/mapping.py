@@ -13,9 +13,9 @@ from adaptdrive.config import Configuration, polled
 from adaptdrive.config.bus import CommandSwitch, Signals
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import binding, description
-from adaptdrive.devices.description import Source
+from adaptdrive.devices.description import Sink, Source
 from adaptdrive.devices.faults import FaultWord
-from adaptdrive.devices.field import Field, Sink
+from adaptdrive.devices.field import Field
 from adaptdrive.devices.polled import registers
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
