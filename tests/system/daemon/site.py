@@ -53,7 +53,8 @@ PATIENT = {
     "bus.command_timeout_s": "5.0",
     "voltage_loop.where": '"drive"',
 }
-"""The longest limits that a file may state: a machine that is busy with others trips no drive."""
+"""The longest limits that a file may state, and a drive that holds its own voltage: a machine that
+is busy with others trips no drive."""
 
 QUICK_MOTOR = {
     "load.period_s": "0.25",

@@ -101,8 +101,13 @@ def predict_sample(
 
 
 def squared_error(branch: Branch, forgetting: float) -> float:
-    """Return ε² ρ/(ρ + rᵀPr): ε² of the last prediction less what the uncertainty of θ adds."""
-    return branch.innovation * branch.innovation * (forgetting / (forgetting + branch.excitation))
+    """Return ε² of the last prediction less what the uncertainty of θ adds."""
+    return normalised(branch.innovation, branch.excitation, forgetting)
+
+
+def normalised(innovation: float, excitation: float, forgetting: float) -> float:
+    """Return ε² ρ/(ρ + rᵀPr)."""
+    return innovation * innovation * (forgetting / (forgetting + excitation))
 
 
 def teaches(branch: Branch, learning: settings.EstimatorSettings) -> bool:

@@ -13,7 +13,7 @@ import math
 
 from adaptdrive.control import thresholds, vectors
 from adaptdrive.control.estimation import bank, change, regression, rls
-from adaptdrive.control.estimation.branch import Branch, copy_estimate, squared_error
+from adaptdrive.control.estimation.branch import Branch, copy_estimate, normalised
 from adaptdrive.control.estimation.estimator import EstimatorState
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import EstimatorSettings
@@ -36,7 +36,9 @@ def in_force(state: EstimatorState) -> Branch:
 
 def own_residual(state: EstimatorState, learning: EstimatorSettings) -> float:
     """Squared innovation of the last sample, the estimate's own uncertainty taken out, scaled."""
-    return squared_error(in_force(state), learning.forgetting)
+    # as published: a sample that teaches nothing is predicted too, and not by each branch
+    innovation = state.innovation / learning.output_scale
+    return normalised(innovation, state.excitation, learning.forgetting)
 
 
 def residual_noise(state: EstimatorState) -> float:
