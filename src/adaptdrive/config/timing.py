@@ -88,12 +88,12 @@ class Timing:
     def hidden_s(self, cycle_s: float) -> float:
         """Return how late a command may reach the bus without hiding a stop of the drive.
 
-        Reports that come with each reading, and wait meanwhile, show a stop that was not due to the
-        drive's own time-out; that time-out must be known.
+        A known time-out excludes the stop that the command would undo most likely. A stop for any
+        other cause is shown by the report that waits, or, of a drive that is polled, is as unseen
+        as one between a reading and its command; `overslept_s` limits this time.
 
         Args:
-            cycle_s: Time from one report of the bridge to the next, infinite where it is not known
-                or no report waits.
+            cycle_s: Time from one report of the bridge to the next, infinite where it is not known.
         """
         shown = self.command_timeout_s is not None and cycle_s <= _LOST_READINGS * self.reading_s
         return self.certain_s if shown else self.unseen_s

@@ -118,14 +118,14 @@ class InterlockBoard:
             half_cycles: Its time base: the rate of its frames, unless this process decides it, and
                 its half-cycle counter.
         """
-        timing, queued = settings.timing, settings.drive_clocks
+        timing = settings.timing
         reported, cycle_s = port.stop_slack_s is not None, port.bridge_cycle_s
         self._port = port
         self._limits = settings.limits
         self._watches = [build() for build in settings.watches]
-        self._rate = half_cycles.rate if queued else None
+        self._rate = half_cycles.rate if settings.drive_clocks else None
         self._counts = half_cycles.counts
-        self._bridge = BridgeWatch(timing, reported=reported, cycle_s=cycle_s, queued=queued)
+        self._bridge = BridgeWatch(timing, reported=reported, cycle_s=cycle_s)
         self._watched_s = math.inf
         self._pause_s, self._paused_s = 0.0, -math.inf
         self._least_pause_s = _PAUSE_READINGS * timing.reading_s

@@ -19,9 +19,7 @@ _SLACK_S = 1e-6
 class BridgeWatch:
     """Finds a drive that reports its bridge off although it was commanded on."""
 
-    def __init__(
-        self, timing: Timing, *, reported: bool = True, cycle_s: float = 0.0, queued: bool = True
-    ) -> None:
+    def __init__(self, timing: Timing, *, reported: bool = True, cycle_s: float = 0.0) -> None:
         """Watch from the first half cycle.
 
         Args:
@@ -30,12 +28,11 @@ class BridgeWatch:
                 it has not stopped.
             cycle_s: Time from one such report to the next, 0 where each reading has one, infinite
                 where it is not known.
-            queued: Whether reports come and wait while this process does not run.
         """
         self._reading_s = timing.reading_s
         self._grace_s = timing.switched_on_s
         self._on_s = timing.unseen_s
-        self._hidden_s = timing.hidden_s(cycle_s if queued else math.inf)
+        self._hidden_s = timing.hidden_s(cycle_s)
         self._gap_limit_s = timing.unwatched_s
         self._silent_limit_s = timing.silent_s
         self._mute_limit_s = timing.unreported_s(cycle_s)

@@ -292,7 +292,9 @@ async def test_a_command_that_stood_still_on_its_way_to_the_bus_is_followed_by_t
     ("timeout_s", "frozen_s", "polled", "trips"),
     [
         (1.0, 0.4, False, False),
-        (1.0, 0.4, True, True),  # no report waits
+        (1.0, 0.4, True, False),
+        (0.3, 0.3, True, True),
+        (None, 0.2, True, True),
         (None, 0.2, False, True),  # it may have stopped just before the command
         (0.3, 0.3, False, True),
         (2.0, 0.6, False, True),  # longer than `stale_s`
