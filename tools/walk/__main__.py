@@ -108,6 +108,7 @@ def each_traced(owner: object, name: str, walks: list[Walk]) -> Iterator[None]:
 
 async def follow(folder: Path) -> dict[str, Walk]:
     """Run the daemon until its adaptive controller holds a set-point, and return its walks."""
+    gc.disable()  # a collection calls the product's watch over it
     configuration, path = configured("motor", folder)
     ticks: list[Walk] = []
     periods: list[Walk] = []
@@ -158,14 +159,12 @@ async def _estimate(wire: Wire, folder: Path) -> Walk:
         recording = asyncio.create_task(recorder.run())
         await asyncio.sleep(1.0)
         report = await wire.period()
-        gc.disable()  # a collection calls the product's watch over it
         with traced(walk):
             wire.daemon.decided(report.snapshot, report.decision)
             await recorder._gather()
         with each_traced(disk, "archive", archived):
             recording.cancel()
             await asyncio.wait([recording])
-        gc.enable()
     walk.functions += archived[-1].functions
     return walk
 

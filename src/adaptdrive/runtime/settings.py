@@ -65,6 +65,11 @@ FLOOR_REACHED = 0.99
 """Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""
 
 
+def can_hold(reach: Reach, value: float) -> bool:
+    """Return whether V_c can hold an output; True while the range is not known."""
+    return not (value < reach.low or value > reach.high)
+
+
 def _require(  # noqa: PLR0913, PLR0917 - the parts of one sentence
     what: str, value: float, low: float, high: float, unit: str = "", why: str = ""
 ) -> None:
@@ -140,7 +145,7 @@ class MachineLimits:
 
         Arguments as of `require_reference`.
         """
-        if not (self.govern or reach.holds(value)):
+        if not (self.govern or can_hold(reach, value)):
             unit, why = f" {self.output_unit}", f", which {self.given.symbol} can hold"
             _require(what, value, reach.low, reach.high, unit, why)
 

@@ -16,7 +16,7 @@ from adaptdrive.control.signals import KnownWaveform, Mode, Order, Stage, Wavefo
 from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.runtime import requests
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.settings import MachineLimits
+from adaptdrive.runtime.settings import MachineLimits, can_hold
 from adaptdrive.util.errors import RefusedError
 
 # compiled code finds a constant of its module at once, and a member of an enumeration in 0.1 us
@@ -102,8 +102,8 @@ class Machine:
     def _is_within(self, reach: Reach) -> bool:
         """Say whether V_c can hold every set-point that is asked for."""
         if self.waveform is None:
-            return reach.holds(self.setpoint)
-        return reach.holds(self.waveform.low) and reach.holds(self.waveform.high)
+            return can_hold(reach, self.setpoint)
+        return can_hold(reach, self.waveform.low) and can_hold(reach, self.waveform.high)
 
     @property
     def stage(self) -> Stage:

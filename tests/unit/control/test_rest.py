@@ -18,6 +18,7 @@ from adaptdrive.control.supervision.setpoints import (
     nominal_reach,
 )
 from adaptdrive.control.supervision.state import SlowState, new_slow_state
+from adaptdrive.runtime.settings import can_hold
 from tests.integration.closed_loop.bench import EXACT, MOTOR, REST_V, STAGE
 from tests.unit.control.systems import motor_system, polynomials
 
@@ -112,8 +113,8 @@ def test_the_nearest_within_reach_is_held_and_moves_only_what_is_not(
     reach = Reach(low, low + width)
     nearest = reach.nearest(value)
     assert reach.is_known
-    assert reach.holds(nearest)
-    assert reach.holds(value) == (nearest == value)
-    assert reach.holds(low)
-    assert reach.holds(low + width)
+    assert can_hold(reach, nearest)
+    assert can_hold(reach, value) == (nearest == value)
+    assert can_hold(reach, low)
+    assert can_hold(reach, low + width)
     assert abs(nearest - value) <= min(abs(low - value), abs(low + width - value))

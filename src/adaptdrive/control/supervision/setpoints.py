@@ -101,10 +101,6 @@ class Reach:
         """True where both ends are known."""
         return math.isfinite(self.low) and math.isfinite(self.high)
 
-    def holds(self, value: float) -> bool:
-        """Return whether V_c can hold an output; True while the range is not known."""
-        return not (value < self.low or value > self.high)
-
     def nearest(self, value: float) -> float:
         """Return the output within reach that is nearest; the same while the range is not known."""
         if value > self.high:
