@@ -195,7 +195,7 @@ def _after() -> Iterator[tuple[str, float]]:
     timer = create_timer()
     yield "stand-in timer armed", least_us(lambda: arm_timer(timer, time.monotonic() + 1.0))
     detector = LatencyDetector(1e6, lambda _: None, time.monotonic)
-    collector = IdleCollector(1 << 30)
+    collector = IdleCollector()
 
     def watch() -> None:
         detector.ticked(1.0, 1.0)

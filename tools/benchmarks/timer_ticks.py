@@ -56,7 +56,6 @@ async def main(duration_s: float, priority: int, *, awake: bool) -> list[float]:
     wanted = Realtime(
         priority=priority or None,
         lock_memory=bool(priority),
-        freeze_gc=True,
         cpu_latency_us=0 if awake else None,
     )
     with real_time(wanted):

@@ -264,22 +264,16 @@ def _reading(
 def prepared(
     configuration: Configuration, port: Callable[[], Port], hub: reports.Hub
 ) -> Iterator[None]:
-    """Warm up, ask for what is configured, and publish an event for each answer.
+    """Warm up, ask for what is configured, and publish an event for each answer of the kernel.
 
     Args:
         configuration: The drive.
         port: Builds another port of the drive, which is not opened.
         hub: Where the events go.
     """
-    grants: list[realtime.Grant] = []
-    if configuration.realtime.warm_up:
-        began_s = time.monotonic()
-        ticks = WarmUp(configuration, port()).run()
-        spent_ms = (time.monotonic() - began_s) * 1e3
-        meaning = f"{ticks} ticks run in {spent_ms:.0f} ms"
-        grants.append(realtime.Grant("warm_up = true", granted=True, meaning=meaning))
+    WarmUp(configuration, port()).run()
     with realtime.real_time(configuration.realtime) as answers:
-        for grant in (*grants, *answers):
+        for grant in answers:
             hub.publish(_event(grant))
         yield
 

@@ -308,8 +308,6 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
     )
     return FastLoopSettings(
         latency_ticks=configuration.load.latency_ticks,
-        late_fraction=configuration.realtime.late_fraction,
-        timer_standin=configuration.realtime.timer_standin,
         drive_clocks=isinstance(bus, CanBus)
         or (isinstance(bus, CanOpenBus) and bus.sync == "drive"),
         limits=trip_limits(configuration),

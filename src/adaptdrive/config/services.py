@@ -130,10 +130,6 @@ class Recording(section.Section):
 class Realtime(section.Section):
     """`[realtime]`: how hard the fast loop is protected from the rest of the machine."""
 
-    timer_standin: bool = True
-    """run a stand-in tick when the drive's frame is late"""
-    late_fraction: float = section.key(0.5, gt=0.0, lt=1.0)
-    """how late a frame may be, as a fraction of a tick, before a stand-in tick runs"""
     priority: int | None = section.key(None, span=(1, 98))
     """SCHED_FIFO priority; ordinary scheduling without"""
     cpus: list[Annotated[int, Field(ge=0)]] = section.key([])
@@ -142,9 +138,5 @@ class Realtime(section.Section):
     """longest time that idle CPUs may take to wake up; shorter needs more power"""
     lock_memory: bool = False
     """keep the daemon's memory in RAM"""
-    freeze_gc: bool = True
-    """collect garbage in idle time after a tick, young objects only"""
-    warm_up: bool = True
-    """run ticks and slow steps on synthetic readings before the bus is opened"""
     late_us: section.PositiveFloat = section.key(2000.0, span=(10.0, 1e6))
     """lateness from which a tick is reported as an event, with its cause"""

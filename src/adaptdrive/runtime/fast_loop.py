@@ -12,6 +12,7 @@ import math
 from collections import deque
 from typing import Final
 
+from adaptdrive.config.timing import LATE_READINGS
 from adaptdrive.control import signals
 from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.devices.port import Port, Reading, assuming
@@ -109,7 +110,6 @@ class FastLoop:
         self.guard = interlocks.Guard(settings.command)
         capacitor = settings.capacitor
         self._capacitor = None if capacitor is None else CapacitorBalance(capacitor)
-        self._settings = settings
         self._assumes_voltage = "boost_voltage_V" in settings.limits.absent
         self._surroundings = surroundings
         self._interlocks = interlocks.InterlockBoard(settings, port, self._half_cycles)
@@ -161,8 +161,7 @@ class FastLoop:
             self._run(tick, arrival_s, self._surroundings.now_s(), fresh=reading.whole)
         else:
             self._watch_late_reading(reading, self._surroundings.now_s())
-        late_s = (1.0 + self._settings.late_fraction) * half_cycles.reading_period_s
-        self._arm(arrival_s + late_s)
+        self._arm(arrival_s + LATE_READINGS * half_cycles.reading_period_s)
 
     def _watch_late_reading(self, reading: Reading, now_s: float) -> None:
         """Trip for a reading beyond a limit, or of a drive that has stopped, now.
@@ -171,7 +170,9 @@ class FastLoop:
         """
         driven = self.command.bridge
         if driven or self._interlocks.standing_cause(reading, now_s) is not None:
-            self._watch_between_ticks(now_s)
+            self._watch_interlocks(now_s)
+            if not self._machine.energised:
+                self.send_safe()
         if self._is_wanted_still() and not self._interlocks.awaits_bridge(now_s):
             self._send_in_time(self._wanted)
 
@@ -193,19 +194,9 @@ class FastLoop:
         now_s = self._surroundings.now_s()
         skipped = max(0, int((now_s - deadline_s) / period_s))
         self._arm(deadline_s + (1 + skipped) * period_s)
-        if not self._settings.timer_standin and self.reading is not None:
-            self._watch_between_ticks(now_s)
-            self._judge(deadline_s, now_s)
-            return
         self.held += 1
         tick = self._half_cycles.following(self.tick, skipped)
         self._run(tick, deadline_s, now_s, fresh=False)
-
-    def _watch_between_ticks(self, now_s: float) -> None:
-        """Trip for what no tick sees: a late reading, or silence where no timer stands in."""
-        self._watch_interlocks(now_s)
-        if not self._machine.energised:
-            self.send_safe()
 
     def _judge(self, due_s: float, ended_s: float) -> None:
         """Notify the watchdog when a tick was complete within half a period of its time.

@@ -51,6 +51,7 @@ def real_time(settings: Realtime) -> Iterator[list[Grant]]:
     with ExitStack() as held:
         held.callback(_thaw)
         sys.setswitchinterval(_SWITCH_S)
+        _freeze()
         yield list(_asked(settings, held))
 
 
@@ -80,8 +81,6 @@ def _asked(settings: Realtime, held: ExitStack) -> Iterator[Grant]:
         yield _pin(tuple(settings.cpus))
     if settings.lock_memory:
         yield _lock_memory()
-    if settings.freeze_gc:
-        yield _freeze()
     if settings.priority is not None:
         yield _schedule(settings.priority)
 
@@ -161,12 +160,11 @@ def _capabilities() -> int:
     return 0
 
 
-def _freeze() -> Grant:
+def _freeze() -> None:
+    """Exempt what is loaded from collections; what is new is collected after ticks."""
     gc.collect()
     gc.freeze()
     gc.disable()
-    meaning = f"{gc.get_freeze_count()} objects are exempt; what is new is collected after ticks"
-    return Grant("freeze_gc = true", granted=True, meaning=meaning)
 
 
 def _thaw() -> None:

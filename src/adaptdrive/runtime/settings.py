@@ -254,8 +254,6 @@ class FastLoopSettings:
         command: Limits of what may be sent.
         timing: Times of the drive.
         latency_ticks: L, ticks from a snapshot to the effect of its decision.
-        late_fraction: Lateness of a frame, in ticks, at which a stand-in tick runs.
-        timer_standin: Whether the timer stands in at all.
         watches: Factories of the watches over the output, in the order of their causes.
         drive_clocks: Whether the drive decides when a reading comes.
         capacitor: The boost capacitor that this process charges, None where the drive does.
@@ -265,8 +263,6 @@ class FastLoopSettings:
     command: CommandLimits
     timing: Timing
     latency_ticks: int
-    late_fraction: float
-    timer_standin: bool
     watches: tuple[Callable[[], plausibility.Watch], ...] = ()
     drive_clocks: bool = True
     capacitor: CapacitorLimits | None = None

@@ -119,19 +119,13 @@ class IdleCollector:
     waits until the drive is off.
     """
 
-    def __init__(self, every_ticks: int) -> None:
-        """Collect nothing yet.
-
-        Args:
-            every_ticks: Ticks from one collection to the next; 0 for never.
-        """
-        self._every = every_ticks
+    def __init__(self) -> None:
         self._ticks = self._collections = 0
 
     def is_due(self) -> bool:
         """Count a tick; whether a collection is due after it."""
         self._ticks += 1
-        return self._every > 0 and self._ticks % self._every == 0
+        return self._ticks % COLLECT_TICKS == 0
 
     def collect(self, *, idle: bool) -> int:
         """Collect what became garbage since the freeze.
@@ -162,12 +156,12 @@ class TickSupport:
         """Begin to note garbage collections.
 
         Args:
-            settings: When to collect, and from which lateness a tick is late.
+            settings: From which lateness a tick is late.
             warn: Takes kind and text of an event: the cause of a late tick.
             clock: Monotonic clock in seconds.
         """
         self._loop = asyncio.get_running_loop()
-        self._collector = IdleCollector(COLLECT_TICKS if settings.freeze_gc else 0)
+        self._collector = IdleCollector()
         self._detector = LatencyDetector(settings.late_us, partial(warn, "latency"), clock)
         self._detector.open()
 

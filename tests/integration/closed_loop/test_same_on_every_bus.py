@@ -144,7 +144,6 @@ def configured(name: str, folder: Path) -> tuple[Configuration, Path]:
     if more:
         with_tachometer_on_can(tables)
     change(tables, COURSES[tables["load"]["type"]].changes)
-    tables["realtime"] = {"timer_standin": False, "freeze_gc": False}
     path = folder / f"{name}.toml"
     return validate_configuration(tables, path), path
 

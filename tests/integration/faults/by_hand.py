@@ -11,7 +11,6 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from adaptdrive.app.loads import build_load
@@ -98,8 +97,6 @@ class DaemonByHand:
             now: Monotonic time.
         """
         settings = daemon_settings(configuration)
-        alone = settings.realtime.model_copy(update={"freeze_gc": False})
-        settings = replace(settings, realtime=alone)
         controller = Controller(controller_settings(configuration), build_load(configuration))
         modulus = 65536 if configuration.signals.counter is not None else None
         self.now, self.ran_s = now, -math.inf

@@ -38,8 +38,7 @@ def described(port: int, changes: Changes, example: str = "motor") -> Configurat
     """An example on a port of its own, changed by section and key."""
     path = EXAMPLES / f"{example}.toml"
     tables: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    realtime = {"timer_standin": False, "freeze_gc": False}
-    common: Changes = {"bus": {"udp_port": port}, "realtime": realtime}
+    common: Changes = {"bus": {"udp_port": port}}
     for section, values in [*common.items(), *changes.items()]:
         place = tables
         for name in section.split("."):

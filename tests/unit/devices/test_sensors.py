@@ -60,7 +60,7 @@ class Bench:
         rules = {"output": Derived(rule="difference", of=["hot", "cold"])}
         self.port = SensoredPort(self.drive, [self.bus], rules, self.around.now_s)
         self.machine = Machine(SETTINGS.machine, SETTINGS.pole)
-        settings = replace(FAST, timer_standin=False, drive_clocks=False)
+        settings = replace(FAST, drive_clocks=False)
         self.loop = FastLoop(self.port, MotorController(), self.machine, settings, self.around)
         self.counter = 0
         self.told: list[tuple[bool, str]] = []

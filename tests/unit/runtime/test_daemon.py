@@ -47,7 +47,6 @@ PATIENT = replace(
     report_s=0.02,
     fast=replace(
         SETTINGS.fast,
-        timer_standin=False,
         drive_clocks=False,
         timing=replace(SETTINGS.fast.timing, stale_s=1e6),
     ),

@@ -7,12 +7,9 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.runtime.settings import FastLoopSettings
-from tests.unit.runtime.bench import FAST, TICK_S, fast_bench, running_bench
+from tests.unit.runtime.bench import FAST, TICK_S, fast_bench, running_bench, timed
 
-TIMERLESS = replace(FAST, timer_standin=False)
 POLLS = replace(FAST, timing=replace(FAST.timing, ticks_per_reading=12))
-EACH_CLOCK = pytest.mark.parametrize("settings", [FAST, TIMERLESS], ids=["stand-in", "timerless"])
 
 
 async def test_polls_are_judged_by_the_period_of_the_polls(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -26,24 +23,19 @@ async def test_polls_are_judged_by_the_period_of_the_polls(monkeypatch: pytest.M
         assert len(bench.around.fed) == fed
 
 
-@EACH_CLOCK
-async def test_frames_in_time_and_the_deadlines_of_a_silent_drive_feed(
-    settings: FastLoopSettings,
-) -> None:
-    async with fast_bench(settings) as bench:
+async def test_frames_in_time_and_the_deadlines_of_a_silent_drive_feed() -> None:
+    async with fast_bench() as bench:
         bench.frames(20)
         assert len(bench.around.fed) == 20
         bench.wait(100 * TICK_S)
         assert len(bench.around.fed) >= 118
 
 
-@EACH_CLOCK
 async def test_what_comes_half_a_period_late_or_takes_as_long_does_not_feed(
-    settings: FastLoopSettings, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A frame that waited is stamped when the loop reads it, so that its tick looks punctual."""
-    exact = replace(settings, timing=replace(settings.timing, half_cycle_s=EXACT_S))
-    async with fast_bench(exact) as bench:
+    async with fast_bench(timed(half_cycle_s=EXACT_S)) as bench:
         bench.around.now = 1024.0
         bench.frames(5, after_s=EXACT_S)
         fed = list(bench.around.fed)
@@ -67,9 +59,9 @@ EXACT_S = 2.0**-7
 
 @pytest.mark.parametrize("known", [1, 5])
 async def test_a_frame_that_was_lost_is_a_missed_half_cycle(known: int) -> None:
-    async with fast_bench(replace(FAST, timer_standin=False)) as bench:
+    async with fast_bench() as bench:
         bench.frames(known)
-        bench.frame(after_s=3 * TICK_S, steps=3)
+        bench.thaw(3 * TICK_S)
         assert bench.ticks == [*range(known), known + 2]
         assert bench.loop.missed == 2
 

@@ -145,19 +145,6 @@ async def test_one_change_reaches_the_next_tick_and_nothing_else_does(name: str)
         assert bench.reports[-1].order == replace(before, **expected)  # type: ignore[arg-type]
 
 
-async def test_silence_without_the_timer_sends_nothing_until_it_trips() -> None:
-    async with running_bench(replace(FAST, timer_standin=False)) as bench:
-        known = len(bench.sent)
-        bench.wait(0.8 * FAST.timing.stale_s)
-        assert len(bench.sent) == known
-        bench.wait(10 * TICK_S)
-        assert bench.state() is State.TRIPPED
-        tripped = len(bench.sent)
-        bench.wait(10 * TICK_S)
-        assert bench.sent[known:] == [SAFE_COMMAND] * (len(bench.sent) - known)
-        assert len(bench.sent) - tripped == 10
-
-
 LONG_FRAMES = round(2.0 * FAST.timing.stop_s / TICK_S)
 
 

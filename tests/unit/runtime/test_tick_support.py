@@ -16,7 +16,7 @@ from adaptdrive.config import load_configuration
 from adaptdrive.config.services import Realtime
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.realtime import real_time
-from adaptdrive.runtime.tick_support import IdleCollector, LatencyDetector
+from adaptdrive.runtime.tick_support import COLLECT_TICKS, IdleCollector, LatencyDetector
 from tests.loopback_port import LoopbackPort
 from tests.unit.devices.bench import EXAMPLES
 from tests.unit.runtime.bench import CALM, TICK_S, FastBench, fast_bench
@@ -124,27 +124,25 @@ def test_after_the_freeze_garbage_waits_for_the_collector() -> None:
         def __init__(self) -> None:
             self.itself = self
 
-    with real_time(Realtime(freeze_gc=False)) as grants:
-        assert grants == []
     collected: list[int] = []
-    collector = IdleCollector(every_ticks=3)
-    with real_time(Realtime(freeze_gc=True)) as grants, ExitStack() as stack:
-        assert [grant.granted for grant in grants] == [True]
+    collector = IdleCollector()
+    with real_time(Realtime()) as grants, ExitStack() as stack:
+        assert grants == []
         assert not gc.isenabled()
         knot = Knot()
         gc.callbacks.append(lambda _, info: collected.append(info.get("collected", 0)))
         stack.callback(gc.callbacks.pop)
         del knot
-        assert [collector.is_due() for _ in range(6)] == [False, False, True, False, False, True]
+        due = [collector.is_due() for _ in range(2 * COLLECT_TICKS)]
+        assert [n for n, one in enumerate(due, 1) if one] == [COLLECT_TICKS, 2 * COLLECT_TICKS]
         assert collector.collect(idle=False) == 0
         assert collected[-1] > 0
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0
-    assert not any(IdleCollector(every_ticks=0).is_due() for _ in range(1000))
 
 
 def test_a_full_collection_waits_until_the_drive_is_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    collector, collected = IdleCollector(every_ticks=1), list[int]()
+    collector, collected = IdleCollector(), list[int]()
     monkeypatch.setattr(gc, "collect", collected.append)
     running = [collector.collect(idle=False) for _ in range(7000)]
     assert running[:20].count(1) == 2
