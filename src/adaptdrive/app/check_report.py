@@ -11,11 +11,13 @@ from adaptdrive.app.examine import advice
 from adaptdrive.app.settings import capacitor_limits, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command
+from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.devices.bus import Row
 from adaptdrive.devices.port import Reading
-from adaptdrive.runtime import plausibility
 from adaptdrive.runtime.accounts import WINDOW_S
 from adaptdrive.runtime.capacitor import CapacitorBalance, CapacitorLimits
+from adaptdrive.runtime.plausibility import ResponseLimits
+from adaptdrive.runtime.settings import MachineLimits
 from adaptdrive.util.errors import ConfigurationError, escaped
 
 # Highest v_bst that a report which fails can lead to, as `adaptdrive check` states it.
@@ -73,6 +75,9 @@ def _highest_V(
 
 # The limits of a configuration as `adaptdrive check` shows them: tables, or JSON for programs.
 
+Fact = tuple[str, str, str]
+"""What is limited, its limit, and the keys that set it."""
+
 _WHOLE_TICKS = 1e4
 """Number of half cycles from which on all digits are printed."""
 
@@ -84,12 +89,13 @@ def tables(configuration: Configuration, source: Path) -> str:
         configuration: The configuration.
         source: Its file.
     """
-    limits = limits_table(time_limits(configuration, source), configuration.drive.half_cycle_s)
-    response = response_table(loads.response_limits(configuration))
-    watched, capacitor = _watched(configuration), _capacitor(configuration)
-    start, reach = _start(configuration), _reach(configuration)
-    poles = pole_line(configuration)
-    return "\n".join((limits, *watched, *start, *capacitor, *reach, poles, response))
+    head, tick_s = (
+        f"{'trips after':36} {'ms':>9} {'ticks':>8}  by",
+        configuration.drive.half_cycle_s,
+    )
+    limits = (_limit(*row, tick_s) for row in time_limits(configuration, source))
+    facts = (f"{what:36} {value:>18}  {keys}" for what, value, keys in _facts(configuration))
+    return "\n".join((head, *limits, *facts))
 
 
 def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
@@ -100,30 +106,16 @@ def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
         source: The configuration's file.
     """
     interlocks, supervisor = configuration.interlocks, configuration.supervisor
+    refused_s = WINDOW_S if interlocks.refused_share else 0.0
     return [
         *ports.bus_kind(configuration.bus.type, source).time_limits(configuration, source),
         *_sensor_rows(configuration),
         ("daemon not running", interlocks.stale_s, "interlocks.stale_s"),
         ("starting", interlocks.precharge_timeout_s, "interlocks.precharge_timeout_s"),
-        (
-            "share of refused frames",
-            WINDOW_S if interlocks.refused_share else 0.0,
-            "interlocks.refused_share",
-        ),
+        ("share of refused frames", refused_s, "interlocks.refused_share"),
         ("output standing still", interlocks.stuck_s, "interlocks.stuck_s"),
         ("input at its limit, no response", supervisor.response_s, "supervisor.response_s"),
     ]
-
-
-def limits_table(rows: list[Row], tick_s: float) -> str:
-    """Return the limits as lines of text, in milliseconds and half cycles.
-
-    Args:
-        rows: The limits.
-        tick_s: Half a line cycle.
-    """
-    head = f"{'trips after':36} {'ms':>9} {'ticks':>8}  by"
-    return "\n".join([head, *(_limit(*row, tick_s) for row in rows)])
 
 
 def _limit(what: str, limit_s: float, keys: str, tick_s: float) -> str:
@@ -141,101 +133,78 @@ def _sensor_rows(configuration: Configuration) -> Iterator[Row]:
             yield f"stale {bus.name}.{name}", bus.oldest_s, keys
 
 
-def _watched(configuration: Configuration) -> Iterator[str]:
+def _facts(configuration: Configuration) -> Iterator[Fact]:
+    """Yield the limits that are no times."""
+    machine = daemon_settings(configuration).machine
+    yield from _watched(configuration)
+    yield from _start(configuration, machine)
+    yield from _capacitor(configuration)
+    yield from _reach(configuration, machine.reach)
+    poles = f"{machine.pole_min:g}…{machine.pole_max:g}"
+    yield "poles an operator may ask for", poles, "load.pole_min, load.pole_max, load.model"
+    yield from _response(loads.response_limits(configuration))
+
+
+def _watched(configuration: Configuration) -> Iterator[Fact]:
     """Yield the words whose faults trip, and those whose warnings are events."""
     for key, one in configuration.signals.watched():
         verb = "tells warnings of" if key.startswith("warning") else "trips on faults of"
         bits = "all bits" if one.mask is None else f"bits {one.mask:#x}"
         but = ", ".join(str(value) for value in one.healthy)
-        yield _fact(f"{verb} {one.signal}", f"all but {but}" if but else bits, f"signals.{key}")
+        yield f"{verb} {one.signal}", f"all but {but}" if but else bits, f"signals.{key}"
 
 
-def _capacitor(configuration: Configuration) -> Iterator[str]:
+def _start(configuration: Configuration, machine: MachineLimits) -> Iterator[Fact]:
+    """Yield what a drive gives before its load is fed, and whether its enable bit is on then."""
+    given = configuration.drive.given
+    if machine.precharges:
+        bit = "on" if machine.boost_needs_bridge else "off"
+        keys = f"drive.limits.boost_reference_min_V; its enable bit is {bit} before"
+        yield f"starts at {given.name} of", given.text(machine.floor_V, "g"), keys
+
+
+def _capacitor(configuration: Configuration) -> Iterator[Fact]:
     """Yield the highest v_bst that a failing report can lead to."""
     limits, drive = capacitor_limits(configuration), configuration.drive
     if limits is None:
         return
-    found = highest_voltages(
-        limits,
-        drive.limits.boost_reference_max_V,
-        drive.limits.load_power_max_W,
-        drive.half_cycle_s,
-    )
+    highest_V, load_W = drive.limits.boost_reference_max_V, drive.limits.load_power_max_W
+    found = highest_voltages(limits, highest_V, load_W, drive.half_cycle_s)
     for report, voltage_V in zip(("silent", "frozen"), found, strict=True):
-        key = "drive.limits, drive.boost_capacitance_F, interlocks.boost_voltage_max_V"
-        yield _fact(f"highest v_bst, its report {report}", f"{voltage_V:.0f} V", key)
+        keys = "drive.limits, drive.boost_capacitance_F, interlocks.boost_voltage_max_V"
+        yield f"highest v_bst, its report {report}", f"{voltage_V:.0f} V", keys
 
 
-def _start(configuration: Configuration) -> Iterator[str]:
-    """Yield what a drive gives before its load is fed, and whether its enable bit is on then."""
-    machine, given = daemon_settings(configuration).machine, configuration.drive.given
-    if machine.precharges:
-        bit = "on" if machine.boost_needs_bridge else "off"
-        reached, keys = given.text(machine.floor_V, "g"), "drive.limits.boost_reference_min_V"
-        yield _fact(
-            f"starts at {given.name} of", reached, f"{keys}; its enable bit is {bit} before"
-        )
-
-
-_FACTOR = "interlocks.response_factor"
-
-
-def _reach(configuration: Configuration) -> Iterator[str]:
+def _reach(configuration: Configuration, reach: Reach) -> Iterator[Fact]:
     """Yield the reachable set-points."""
-    load, reach = configuration.load, daemon_settings(configuration).machine.reach
-    held = f"set-points held by {configuration.drive.given.symbol}"
+    load, held = configuration.load, f"set-points held by {configuration.drive.given.symbol}"
     if not reach.is_known:
-        yield _fact(held, "found while running", "the battery's EMF, which no key states")
+        yield held, "found while running", "the battery's EMF, which no key states"
         return
     low, high = max(reach.low, load.reference_min), min(reach.high, load.reference_max)
-    yield _fact(held, f"{low:g}…{high:g} {load.output_unit}".rstrip(), "load.model")
+    yield held, f"{low:g}…{high:g} {load.output_unit}".rstrip(), "load.model"
     if load.reference_min < reach.low:
-        yield _fact("set-points below this range", "refused", "load.reference_min; 0 coasts")
+        yield "set-points below this range", "refused", "load.reference_min; 0 coasts"
     if load.reference_max > reach.high:
-        yield _fact("set-points above this range", "refused", "load.reference_max")
+        yield "set-points above this range", "refused", "load.reference_max"
 
 
-def pole_line(configuration: Configuration) -> str:
-    """Return the poles that an operator may ask for as a line of text.
-
-    Args:
-        configuration: A valid configuration.
-    """
-    limits = daemon_settings(configuration).machine
-    poles = f"{limits.pole_min:g}…{limits.pole_max:g}"
-    return _fact("poles an operator may ask for", poles, "load.pole_min, load.pole_max, load.model")
-
-
-def response_table(limits: plausibility.ResponseLimits | None) -> str:
-    """Return the limits of an output that is too low as lines of text.
-
-    Args:
-        limits: The limits in force, None for none.
-    """
-    return "\n".join(_response(limits))
-
-
-def _response(limits: plausibility.ResponseLimits | None) -> Iterator[str]:
+def _response(limits: ResponseLimits | None) -> Iterator[Fact]:
+    """Yield when an output is too low."""
+    factor = "interlocks.response_factor"
     if limits is None:
-        yield _fact("trips on a low output", "never", f"{_FACTOR} = 0")
+        yield "trips on a low output", "never", f"{factor} = 0"
         return
-    key = f"{_FACTOR}, in force: {limits.factor:g}"
-    yield _fact("trips at rest, largest input, below", _level(limits, 1.0), key)
-    yield _fact("trips at rest, half of it, below", _level(limits, 0.5), key)
+    keys = f"{factor}, in force: {limits.factor:g}"
+    for inputs, share in (("largest input", 1.0), ("half of it", 0.5)):
+        level = limits.at_rest(share * limits.input_max) - limits.margin
+        what = f"trips at rest, {inputs}, below"
+        yield what, f"{level:.4g} {limits.output_unit}".rstrip(), keys
     if not limits.by_power:
         slowest_s = limits.factor * sum(limits.lags_s)
-        yield _fact("this level rises with a lag of", f"{slowest_s:.4g} s", key)
+        yield "this level rises with a lag of", f"{slowest_s:.4g} s", keys
         fastest = f"{limits.fastest_s:.4g} s"
-        yield _fact("trips on a fall faster than a lag of", fastest, f"{_FACTOR} > 0")
-
-
-def _level(limits: plausibility.ResponseLimits, share: float) -> str:
-    level = limits.at_rest(share * limits.input_max) - limits.margin
-    return f"{level:.4g} {limits.output_unit}".rstrip()
-
-
-def _fact(what: str, value: str, key: str) -> str:
-    return f"{what:36} {value:>18}  {key}"
+        yield "trips on a fall faster than a lag of", fastest, f"{factor} > 0"
 
 
 Report = dict[str, Any]

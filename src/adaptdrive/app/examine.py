@@ -11,9 +11,8 @@ from adaptdrive.app import loads, ports
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration, consistency, file, polled
 from adaptdrive.config.bus import CanDescription, SignalSource
-from adaptdrive.config.load import AnyLoad, BathSection, BatterySection
-from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
-from adaptdrive.control.loads.load import Load, to_input, to_voltage
+from adaptdrive.config.load import BathSection, BatterySection
+from adaptdrive.control.loads.load import to_input, to_voltage
 from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.devices.description import NO_DEMANDS, demands_of
 from adaptdrive.util.clock import now_s
@@ -92,13 +91,8 @@ _LOWEST_CHARGE = 0.5
 
 def implausible(configuration: Configuration) -> Iterator[Flaw]:
     """Find values that contradict each other, with the figures that show it."""
-    load = loads.build_load(configuration)
-    yield from _telemetry_flaws(configuration)
-    yield from _battery_flaws(configuration)
-    yield from _reach_flaws(configuration, load)
-    yield from _pace_flaws(configuration, load)
-    if configuration.voltage_loop.where == "daemon":
-        yield from _capacitor_flaws(configuration)
+    for check in (_telemetry_flaws, _battery_flaws, _reach_flaws, _pace_flaws, _capacitor_flaws):
+        yield from check(configuration)
 
 
 def _telemetry_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -109,23 +103,21 @@ def _telemetry_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("mqtt.telemetry_Hz", f"{problem}, and commands are refused as expired")
 
 
-def _reach_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
+def _reach_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """The voltages that may be asked for lead to outputs among the set-points."""
     section, limits = configuration.load, configuration.drive.limits
-    reach = nominal_reach(load, controller_settings(configuration).stage)
-    if not reach.is_known:
-        return
-    if reach.low <= section.reference_max and reach.high >= section.reference_min:
-        return
     unit, given = section.output_unit, configuration.drive.given
-    yield Flaw(
-        "load.model",
-        f"{given.symbol} = {limits.boost_reference_min_V:g}…"
-        f"{given.text(limits.boost_reference_max_V, 'g')} gives "
-        f"{section.output_name} = {reach.low:g}…{reach.high:g} {unit}, which "
-        f"misses every set-point of {section.reference_min:g}…{section.reference_max:g} {unit}: "
-        "compare the model's gain, load.reference_min and _max, and [drive.limits]",
-    )
+    stage = controller_settings(configuration).stage
+    reach = nominal_reach(loads.build_load(configuration), stage)
+    if reach.low > section.reference_max or reach.high < section.reference_min:
+        yield Flaw(
+            "load.model",
+            f"{given.symbol} = {limits.boost_reference_min_V:g}…"
+            f"{given.text(limits.boost_reference_max_V, 'g')} gives "
+            f"{section.output_name} = {reach.low:g}…{reach.high:g} {unit}, which "
+            f"misses every set-point of {section.reference_min:g}…{section.reference_max:g} {unit}:"
+            " compare the model's gain, load.reference_min and _max, and [drive.limits]",
+        )
 
 
 def _battery_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -145,30 +137,21 @@ def _battery_flaws(configuration: Configuration) -> Iterator[Flaw]:
     yield Flaw("load.model.turns_ratio", f"{problem}, the battery has up to {highest_V:g} V")
 
 
-def _pace_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
+def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """The slow period fits the load, and the load can be controlled with it."""
-    period_s = configuration.load.period_s
-    total_s = load.lag_s
-    if not _SHORTEST_PERIODS <= total_s / period_s <= _LONGEST_PERIODS:
+    period_s, total_s = configuration.load.period_s, loads.build_load(configuration).lag_s
+    if _SHORTEST_PERIODS <= total_s / period_s <= _LONGEST_PERIODS:
+        yield from _pole_flaws(configuration)
+    else:
         problem = f"its time constants add up to {total_s:.4g} s, {total_s / period_s:.3g} slow "
         limits = f"{_SHORTEST_PERIODS:g}…{_LONGEST_PERIODS:g}"
         yield Flaw("load.model", f"{problem}periods of {period_s:g} s; {limits} can be controlled")
-        return
-    settings = controller_settings(configuration)
-    model = discrete_model(settings, load, list(load.numerator), list(load.denominator), period_s)
-    gains = compensator_gains(*model, load.order, configuration.load.pole)
-    if not all(map(math.isfinite, gains)):
-        yield Flaw(
-            "load.model", f"no gains place the poles at load.pole = {configuration.load.pole}"
-        )
-        return
-    yield from _pole_flaws(
-        configuration.load, loads.standing_poles(settings, load, configuration.load)
-    )
 
 
-def _pole_flaws(section: AnyLoad, standing: list[float]) -> Iterator[Flaw]:
+def _pole_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """The fixed controller stands an error of the model with the pole of the file."""
+    section, load = configuration.load, loads.build_load(configuration)
+    standing = loads.standing_poles(controller_settings(configuration), load, section)
     if section.pole in standing:
         return
     problem = (
@@ -184,6 +167,8 @@ def _pole_flaws(section: AnyLoad, standing: list[float]) -> Iterator[Flaw]:
 
 def _capacitor_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """The capacitor can be charged in time, and holds more than the load takes in a half cycle."""
+    if configuration.voltage_loop.where == "drive":
+        return
     drive, place = configuration.drive, "drive.boost_capacitance_F"
     capacitance_F, limits, line_V = drive.boost_capacitance_F, drive.limits, drive.line_voltage_V
     power_W = limits.current_scale_max_S * line_V * line_V
@@ -222,18 +207,10 @@ _DELAY_SHARE = 0.5
 
 def advice(configuration: Configuration) -> Iterator[Flaw]:
     """Find values that probably do not do what is wanted, with the figures that show it."""
-    load = loads.build_load(configuration)
-    yield from _reach(configuration, load)
-    yield from _power(configuration, load)
-    yield from _absent(configuration)
-    yield from _only_stop(configuration)
-    yield from _pace(configuration, load)
-    yield from _delay(configuration)
-    yield from _charge(configuration)
-    yield from _paper(configuration)
-    yield from _broker(configuration)
-    yield from _unread(configuration)
-    yield from ports.bus_kind(configuration.bus.type).cautions(configuration)
+    cautions = ports.bus_kind(configuration.bus.type).cautions
+    loop = (_reach, _power, _absent, _only_stop, _pace, _delay, _charge, _paper)
+    for check in (*loop, _broker, _unread, cautions):
+        yield from check(configuration)
 
 
 def _paper(configuration: Configuration) -> Iterator[Flaw]:
@@ -250,22 +227,15 @@ def _paper(configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("estimator.forgetting", text)
 
 
-def _reach(configuration: Configuration, load: Load) -> Iterator[Flaw]:
+def _reach(configuration: Configuration) -> Iterator[Flaw]:
     """The highest command reaches the highest set-point."""
-    section, limits = configuration.load, configuration.drive.limits
-    given = configuration.drive.given
-    if section.traits.charges:
-        return
-    highest = load.gain * to_input(
-        limits.boost_reference_max_V, load.input_gain, load.input_exponent
-    )
-    span = section.reference_max - section.reference_min
-    if section.reference_max - highest > _REACH_SHARE * span:
-        text = (
-            f"{section.reference_max:g} {section.output_unit} cannot be reached: "
-            f"{given.text(limits.boost_reference_max_V, 'g')} gives {highest:.4g} "
-            f"{section.output_unit}"
-        )
+    section, load = configuration.load, loads.build_load(configuration)
+    given, highest_V = configuration.drive.given, configuration.drive.limits.boost_reference_max_V
+    highest = load.gain * to_input(highest_V, load.input_gain, load.input_exponent)
+    span, unit = section.reference_max - section.reference_min, section.output_unit
+    if not section.traits.charges and section.reference_max - highest > _REACH_SHARE * span:
+        text = f"{section.reference_max:g} {unit} cannot be reached: "
+        text += f"{given.text(highest_V, 'g')} gives {highest:.4g} {unit}"
         yield Flaw("load.reference_max", text)
 
 
@@ -290,10 +260,10 @@ def _absent(configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("signals.boost_voltage_V", text)
 
 
-def _power(configuration: Configuration, load: Load) -> Iterator[Flaw]:
+def _power(configuration: Configuration) -> Iterator[Flaw]:
     """The drive has the power that the highest set-point takes."""
     drive = configuration.drive
-    wanted_W = _highest_power_W(configuration, load)
+    wanted_W = _highest_power_W(configuration)
     line_W = drive.limits.current_scale_max_S * drive.line_voltage_V**2
     if configuration.voltage_loop.where == "drive":  # it takes no k
         line_W = math.inf
@@ -304,9 +274,9 @@ def _power(configuration: Configuration, load: Load) -> Iterator[Flaw]:
         yield Flaw("load.reference_max", text)
 
 
-def _highest_power_W(configuration: Configuration, load: Load) -> float:
+def _highest_power_W(configuration: Configuration) -> float:
     """Return the power of the highest set-point; 0 where the model does not say."""
-    section = configuration.load
+    section, load = configuration.load, loads.build_load(configuration)
     if isinstance(section, BatterySection):
         current_A = section.reference_max
         return (section.charge.voltage_max_V + section.model.droop_Ohm * current_A) * current_A
@@ -337,8 +307,9 @@ def _charge(configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("load.charge.voltage_max_V", text)
 
 
-def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:
+def _pace(configuration: Configuration) -> Iterator[Flaw]:
     """The λ filters and the slow period suit the load."""
+    load = loads.build_load(configuration)
     mean_s = load.lag_s / load.order
     lambda_s, period_s = configuration.estimator.tau_lambda_s, configuration.load.period_s
     least_s = _LEAST_READINGS * configuration.timing.reading_s

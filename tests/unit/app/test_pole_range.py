@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptdrive.app.check_report import pole_line, sound_report
+from adaptdrive.app.check_report import sound_report, tables
 from adaptdrive.app.examine import implausible
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings, operator_profile
@@ -81,7 +81,7 @@ def test_a_file_whose_pole_does_not_stand_is_refused_with_those_that_do() -> Non
 
 def test_check_and_operators_see_the_poles_that_may_be_asked_for() -> None:
     configuration = configured("motor")
-    assert "0.5…0.97" in pole_line(configuration)
+    assert "0.5…0.97" in tables(configuration, EXAMPLES / "motor.toml")
     assert sound_report(configuration, EXAMPLES / "motor.toml")["poles"] == [0.5, 0.97]
     limits = operator_profile(configuration).limits
     assert limits is not None

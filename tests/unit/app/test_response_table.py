@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.app.check_report import response_table
+from adaptdrive.app.check_report import tables
 from adaptdrive.app.loads import response_limits
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
 from adaptdrive.devices.port import Reading
+from adaptdrive.recording.replay import reconfigured
 from adaptdrive.runtime.plausibility import Response, ResponseLimits
 from tests.unit.devices.bench import EXAMPLES
 from tests.unit.runtime.bench import CALM
@@ -35,7 +36,9 @@ def at_largest_input(found: ResponseLimits, output: float, time_s: float) -> Rea
 @pytest.mark.parametrize("example", ["motor", "bath"])
 def test_the_printed_level_is_where_it_trips(example: str) -> None:
     found = limits(example)
-    level = printed(response_table(found), "trips at rest, largest input, below")
+    path = EXAMPLES / f"{example}.toml"
+    shown = tables(load_configuration(path), path)
+    level = printed(shown, "trips at rest, largest input, below")
     step_s = sum(found.lags_s) / 10.0
     for output, trips in ((level + 0.01 * found.reference_range, False), (0.9 * level, True)):
         watch = Response(found)
@@ -53,4 +56,8 @@ def test_check_prints_the_factor_in_force(example: str, capsys: pytest.CaptureFi
 
 
 def test_without_a_factor_nothing_trips() -> None:
-    assert "never  interlocks.response_factor = 0" in response_table(None)
+    path = EXAMPLES / "motor.toml"
+    configuration = reconfigured(
+        path.read_text(encoding="utf-8"), path, ["interlocks.response_factor=0.0"]
+    )
+    assert "never  interlocks.response_factor = 0" in tables(configuration, path)

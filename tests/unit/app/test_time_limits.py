@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.app.check_report import limits_table, tables, time_limits
+from adaptdrive.app.check_report import tables, time_limits
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
 from tests.unit.config.modbus_documents import parse as modbus_parse
@@ -55,8 +55,7 @@ def test_the_words_that_are_watched_are_listed() -> None:
 
 def test_the_table_has_milliseconds_and_half_cycles() -> None:
     path = EXAMPLES / "motor.toml"
-    configuration = load_configuration(path)
-    table = limits_table(time_limits(configuration, path), configuration.drive.half_cycle_s)
+    table = tables(load_configuration(path), path)
     rows = {" ".join(line.split()) for line in table.splitlines()}
     assert "stale output 50 6 interlocks.stale_s" in rows
     assert "starting 5000 600 interlocks.precharge_timeout_s" in rows
