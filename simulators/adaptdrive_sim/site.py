@@ -188,7 +188,7 @@ class OperatedDrive(Site):
         super().__init__(controller, world)
         self.sample = world.step(0.0, bridge=False)
         settings = daemon_settings(configuration)
-        self.machine = state_machine.Machine(settings.machine, settings.pole)
+        self.machine = state_machine.Machine(settings.machine)
         self.ticks = 0
         self.time_s = 0.0
         self.completed = False

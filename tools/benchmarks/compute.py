@@ -160,7 +160,7 @@ def running_loop(send: Callable[[Command], None]) -> tuple[FastLoop, Kept]:
     """A fast loop in state running on a port without a wire."""
     quiet = Kept()
     settings = daemon_settings(MOTOR)
-    machine = Machine(settings.machine, settings.pole)
+    machine = Machine(settings.machine)
     controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
     port = LoopbackPort(send, counter_modulus=65536)
     port.restore()
@@ -261,7 +261,7 @@ def _frames() -> Iterator[Row]:
         port.send(command)
         encode.append((time.perf_counter() - began_s) * 1e6)
     settings = daemon_settings(MOTOR)
-    machine = Machine(settings.machine, settings.pole)
+    machine = Machine(settings.machine)
     controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
     listener.loop = FastLoop(port, controller, machine, settings.fast, listener.quiet)
     _times_of_pairs(port.take, listener, pairs[3000:enabled])

@@ -42,7 +42,7 @@ class Timed(Kept):
 async def main(duration_s: float, priority: int, *, awake: bool) -> list[float]:
     """Run ticks for so long."""
     around, settings = Timed(), daemon_settings(MOTOR)
-    machine = Machine(settings.machine, settings.pole)
+    machine = Machine(settings.machine)
     controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
     port = LoopbackPort(lambda _: None, counter_modulus=None)
     loop = FastLoop(port, controller, machine, settings.fast, around)

@@ -38,7 +38,7 @@ _VOLTAGE = (
     "start_V=self.manual.value(tick), target_V=value + 0.0, since_tick=tick, hold_s=hold_s, "
     "hold_ticks="
 )
-_HOLD = " if hold_s is None else math.ceil(hold_s / self._limits.tick_s))"
+_HOLD = " if hold_s is None else math.ceil(hold_s / self._limits.drive.half_cycle_s))"
 _MACHINE = "runtime.state_machine:Machine.__init__: "
 _LOOP = "runtime.fast_loop:FastLoop."
 _CYCLES = "runtime.timebase:HalfCycles."

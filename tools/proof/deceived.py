@@ -59,7 +59,7 @@ class Deceived(Quiet):
         self.completed = False
         self.sensor: Sensor = lambda _, output: output
         self.fault_s = math.inf
-        self.machine = Machine(settings.machine, settings.pole)
+        self.machine = Machine(settings.machine)
         self.controller = Controller(
             controller_settings(self.configuration), build_load(self.configuration)
         )

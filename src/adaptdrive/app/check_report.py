@@ -158,7 +158,7 @@ def _start(configuration: Configuration, machine: MachineLimits) -> Iterator[Fac
     """Yield what a drive gives before its load is fed, and whether its enable bit is on then."""
     given = configuration.drive.given
     if machine.precharges:
-        bit = "on" if machine.boost_needs_bridge else "off"
+        bit = "on" if machine.drive.boost_needs_bridge else "off"
         keys = f"drive.limits.boost_reference_min_V; its enable bit is {bit} before"
         yield f"starts at {given.name} of", given.text(machine.floor_V, "g"), keys
 

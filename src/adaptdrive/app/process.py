@@ -15,8 +15,8 @@ import os
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -26,9 +26,9 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.polled import RtuLink
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode, Snapshot
-from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.devices.port import Port, Reading
 from adaptdrive.runtime import fast_loop, realtime, reports, requests, state_machine
+from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import AdaptdriveError
 
 # One daemon for a drive: a lock by name that all processes of a machine share.
@@ -91,21 +91,20 @@ def locked(names: Iterable[str], environment: Mapping[str, str]) -> Iterator[lis
     """
     namespace = environment.get(NAMESPACE, "")
     with ExitStack() as stack:
-        yield [stack.enter_context(_lock(name, _address(namespace, name))) for name in names]
+        yield [stack.enter_context(_lock(name, namespace)) for name in names]
 
 
 async def close_refused(locks: Iterable[socket.socket]) -> None:
     """Keep the locks able to name this process to those that are refused."""
     for lock in locks:
-        _close_waiting(lock)
+        with suppress(OSError):  # no more of them wait
+            for _ in range(_CLOSED_AT_ONCE):
+                lock.accept()[0].close()
 
 
-def _address(namespace: str, name: str) -> str:
+def _lock(name: str, namespace: str) -> socket.socket:
     digest = hashlib.sha256(f"{namespace}\n{name}".encode()).hexdigest()
-    return f"\0adaptdrive-{digest[:32]}"
-
-
-def _lock(name: str, address: str) -> socket.socket:
+    address = f"\0adaptdrive-{digest[:32]}"
     lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         lock.bind(address)
@@ -117,14 +116,6 @@ def _lock(name: str, address: str) -> socket.socket:
     lock.listen(_BACKLOG)
     lock.settimeout(0.0)
     return lock
-
-
-def _close_waiting(lock: socket.socket) -> None:
-    for _ in range(_CLOSED_AT_ONCE):
-        try:
-            lock.accept()[0].close()
-        except OSError:
-            return
 
 
 def _holder(address: str) -> str:
@@ -178,9 +169,11 @@ class WarmUp:
         self._controller = Controller(
             controller_settings(configuration), loads.build_load(configuration)
         )
-        self._machine = state_machine.Machine(settings.machine, settings.pole)
+        self._machine = state_machine.Machine(settings.machine)
         self._loop = fast_loop.FastLoop(port, self._controller, self._machine, settings.fast, self)
-        self._output = _reachable_output(configuration, settings.machine.reach)
+        load, reach = configuration.load, settings.machine.reach
+        ends = reach.nearest(load.reference_min), reach.nearest(load.reference_max)
+        self._output = 0.5 * sum(ends)
 
     def run(self) -> int:
         """Go through start, run and stop.
@@ -188,21 +181,21 @@ class WarmUp:
         Returns:
             Ticks run.
         """
+        loop, machine, output = self._loop, self._machine, self._output
+        start = requests.SetMode(Mode.ADAPTIVE), requests.Enable(), requests.SetSetpoint(output)
         readings = min(_READINGS_AT_MOST, _PERIODS * self._configuration.ticks_per_period)
         for number in range(readings):
-            self._read(number)
-            if number == _READINGS_BEFORE_START:
-                self._carry_out(requests.SetMode(Mode.ADAPTIVE))
-                self._carry_out(requests.Enable())
-                self._carry_out(requests.SetSetpoint(self._output))
+            self._read(output * (1.0 + 0.001 * math.sin(0.1 * number)))
+            for request in start if number == _READINGS_BEFORE_START else ():
+                machine.carry_out(request, loop.tick, output, loop.cause)
             for snapshot in tuple(self._snapshots):
                 self._snapshots.clear()
-                self._loop.deliver(snapshot, self._controller.decide(snapshot))
-        self._loop.on_deadline(self._time_s)
-        self._machine.carry_out(requests.Disable(), self._loop.tick, math.nan, None)
-        self._loop.send_safe()
-        self._machine.confirm_stop()  # no drive is there to do it
-        return self._loop.ticks
+                loop.deliver(snapshot, self._controller.decide(snapshot))
+        loop.on_deadline(self._time_s)
+        machine.carry_out(requests.Disable(), loop.tick, math.nan, None)
+        loop.send_safe()
+        machine.confirm_stop()  # no drive is there to do it
+        return loop.ticks
 
     def now_s(self) -> float:
         """Return the simulated time."""
@@ -222,56 +215,34 @@ class WarmUp:
 
     met_deadline = ticked = decided = not_stopped = arm
 
-    def _carry_out(self, request: requests.Request) -> None:
-        loop = self._loop
-        self._machine.carry_out(request, loop.tick, self._output, loop.cause)
-
-    def _read(self, number: int) -> None:
-        configuration = self._configuration
-        self._time_s += configuration.timing.reading_s
-        bridge = self._loop.command.bridge
-        output = self._output * (1.0 + 0.001 * math.sin(0.1 * number))
-        reading = _reading(configuration, output, self._time_s, bridge=bridge)
+    def _read(self, output: float) -> None:
+        """Run the tick of a reading with an output of the load."""
+        drive, limits = self._configuration.drive, self._configuration.drive.limits
+        self._time_s += self._configuration.timing.reading_s
+        reading = Reading(
+            arrival_s=self._time_s,
+            oldest_s=self._time_s,
+            counter=None,
+            boost_voltage_V=0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V),
+            line_voltage_V=drive.line_voltage_V,
+            load_power_W=0.1 * limits.load_power_max_W,
+            output=output,
+            fault=0,
+            bridge=self._loop.command.bridge,
+        )
         self._loop.on_reading(reading)
 
 
-def _reachable_output(configuration: Configuration, reach: Reach) -> float:
-    """Return the middle of the set-points that V_c can hold by the nominal model."""
-    low, high = configuration.load.reference_min, configuration.load.reference_max
-    if reach.is_known:
-        low, high = max(low, reach.low), min(high, reach.high)
-    return 0.5 * (low + high)
-
-
-def _reading(
-    configuration: Configuration, output: float, time_s: float, *, bridge: bool
-) -> Reading:
-    limits = configuration.drive.limits
-    return Reading(
-        arrival_s=time_s,
-        oldest_s=time_s,
-        counter=None,
-        boost_voltage_V=0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V),
-        line_voltage_V=configuration.drive.line_voltage_V,
-        load_power_W=0.1 * limits.load_power_max_W,
-        output=output,
-        fault=0,
-        bridge=bridge,
-    )
-
-
 @contextmanager
-def prepared(
-    configuration: Configuration, port: Callable[[], Port], hub: reports.Hub
-) -> Iterator[None]:
+def prepared(configuration: Configuration, source: Path, hub: reports.Hub) -> Iterator[None]:
     """Warm up, ask for what is configured, and publish an event for each answer of the kernel.
 
     Args:
         configuration: The drive.
-        port: Builds another port of the drive, which is not opened.
+        source: Its file.
         hub: Where the events go.
     """
-    WarmUp(configuration, port()).run()
+    WarmUp(configuration, ports.build_port(configuration, now_s, source)).run()
     with realtime.real_time(configuration.realtime) as answers:
         for grant in answers:
             hub.publish(_event(grant))

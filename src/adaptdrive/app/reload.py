@@ -164,36 +164,21 @@ def start_events(
         known: What its controller starts from, None for nothing.
         recalled: What an earlier run has left.
     """
-    state = _state_event(state_directory())
-    yield from filter(None, (_reload_event(given), known, state))
-    yield from map(_flaw_event, recalled.flaws)
-
-
-def _state_event(directory: Path) -> reports.Event | None:
-    """Return the event that reports an unusable state directory, None for a usable one."""
-    flaw = files.directory_flaw(directory)
-    if flaw is None:
-        return None
-    lost = "nothing is recorded, and replies, unsent events and estimates do not survive a restart"
-    return reports.Event(
-        "state directory", reports.Severity.WARNING, f"{directory}: {flaw}: {lost}", -1
-    )
-
-
-def _reload_event(given: RunInput) -> reports.Event | None:
-    if not given.changed and not given.measured:
-        return None
-    changed = ", ".join(f"[{name}]" for name in given.changed) or "nothing"
-    return reports.Event(
-        "configuration", reports.Severity.INFO, f"reloaded; changed: {changed}", -1
-    )
-
-
-def _flaw_event(flaw: str) -> reports.Event:
-    lost = "commands with ids used before may be carried out again, unsent events may be lost"
-    return reports.Event(
-        "recording", reports.Severity.WARNING, f"of the log of an earlier run, {flaw}: {lost}", -1
-    )
+    if given.changed or given.measured:
+        changed = ", ".join(f"[{name}]" for name in given.changed) or "nothing"
+        detail = f"reloaded; changed: {changed}"
+        yield reports.Event("configuration", reports.Severity.INFO, detail, -1)
+    if known is not None:
+        yield known
+    directory = state_directory()
+    if (flaw := files.directory_flaw(directory)) is not None:
+        lost = "nothing is recorded, and replies, unsent events and estimates do not survive"
+        detail = f"{directory}: {flaw}: {lost} a restart"
+        yield reports.Event("state directory", reports.Severity.WARNING, detail, -1)
+    for flaw in recalled.flaws:
+        lost = "commands with ids used before may be carried out again, unsent events may be lost"
+        detail = f"of the log of an earlier run, {flaw}: {lost}"
+        yield reports.Event("recording", reports.Severity.WARNING, detail, -1)
 
 
 async def log_events(events: reports.Subscription, kept: reports.Keep) -> None:

@@ -257,7 +257,6 @@ async def _run(
     """Serve until the run ends; False when the end of its session is not recorded."""
     configuration, hub = given.configuration, reports.Hub()
     events = hub.subscribe(reports.Event, size=_EVENTS_HELD)
-    build_port = functools.partial(ports.build_port, configuration, clock.now_s, course.path)
     port = ports.build_whole_port(configuration, clock.now_s, course.path)
     settings, load = controller_settings(configuration), loads.build_load(configuration)
     recalled = recall_log(recording.place_of(configuration)[0], datetime.now(UTC))
@@ -309,7 +308,7 @@ async def _run(
             hub.publish(event)
         with (
             clock.uncaught_errors_end(daemon.fail),
-            process.prepared(configuration, build_port, hub),
+            process.prepared(configuration, course.path, hub),
         ):
             await daemon.run(course.stop)
     return recorder.complete

@@ -25,13 +25,7 @@ from adaptdrive.control.settings import (
 from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.mqtt.contract import Output, Profile
 from adaptdrive.runtime import capacitor, frame_rate, plausibility
-from adaptdrive.runtime.settings import (
-    CommandLimits,
-    DaemonSettings,
-    FastLoopSettings,
-    Limits,
-    MachineLimits,
-)
+from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings, Limits, MachineLimits
 
 # The interlocks that a configuration asks for: trip levels, and watches over the output.
 
@@ -97,9 +91,6 @@ _OPEN = thresholds.UNKNOWN * thresholds.UNKNOWN / thresholds.NOISE_FLOOR
 PAPER_COVARIANCE = 1.0e4
 """P[0] of the paper."""
 
-_SHORTEST_WAVE_PERIODS = 4
-"""Shortest period of a waveform, in slow periods: two samples for each half."""
-
 
 def controller_settings(configuration: Configuration) -> ControllerSettings:
     """Return all settings of the controller."""
@@ -128,7 +119,6 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
 def daemon_settings(configuration: Configuration) -> DaemonSettings:
     """Return all settings of the runtime."""
     return DaemonSettings(
-        pole=configuration.load.pole,
         refused_share=configuration.interlocks.refused_share,
         machine=_machine_limits(configuration),
         fast=_fast_loop(configuration),
@@ -157,7 +147,7 @@ def _power_stage(configuration: Configuration) -> PowerStage:
         capacitance_F=drive.boost_capacitance_F,
         line_voltage_min_V=_LOWEST_LINE * drive.line_voltage_V,
         holds_voltage=loop.where == "drive",
-        boost_needs_bridge=drive.enable_bit == "bridge-and-boost",
+        boost_needs_bridge=drive.boost_needs_bridge,
         kick_ticks=kick_ticks,
         kick_first=kick_first,
         kick_second=kick_second,
@@ -185,13 +175,9 @@ def _learning(configuration: Configuration) -> EstimatorSettings:
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
     physical = METHODS[estimator.method].physical
     directional = estimator.alert and physical
+    converted = {"forgetting", "initial_covariance", "bias", "settle_s"}
     return EstimatorSettings(
-        tau_lambda_s=estimator.tau_lambda_s,
-        dead_band=estimator.dead_band,
-        gate=estimator.gate,
-        alert=estimator.alert,
-        initial_state=estimator.initial_state,
-        method=estimator.method,
+        **estimator.model_dump(exclude=converted),
         forgetting=estimator.forgetting or FORGETTING,
         initial_covariance=_initial_covariance(configuration),
         settle_periods=_periods(configuration, estimator.settle_s),
@@ -217,16 +203,9 @@ def _initial_covariance(configuration: Configuration) -> float:
 def _jacket(configuration: Configuration) -> SupervisionLimits:
     supervisor, load = configuration.supervisor, configuration.load
     reference_range, limit = load.reference_max - load.reference_min, supervisor.error_limit
+    converted = {"warm_up_s", "saturated_s", "response_s", "error_limit", "response_distance"}
     return SupervisionLimits(
-        ratio_min=supervisor.ratio_min,
-        ratio_max=supervisor.ratio_max,
-        patience_periods=supervisor.patience_periods,
-        damping_min=supervisor.damping_min,
-        spread_max=supervisor.spread_max,
-        residual_margin=supervisor.residual_margin,
-        dwell_periods=supervisor.dwell_periods,
-        blend_periods=supervisor.blend_periods,
-        confidence=supervisor.confidence,
+        **supervisor.model_dump(exclude=converted),
         warm_up_periods=_periods(configuration, supervisor.warm_up_s),
         saturated_periods=_periods(configuration, supervisor.saturated_s),
         error_limit=ERROR_SHARE * reference_range if limit is None else limit,
@@ -269,50 +248,31 @@ def _periods(configuration: Configuration, time_s: float) -> int:
 
 
 def _machine_limits(configuration: Configuration) -> MachineLimits:
-    load, tick = configuration.load, configuration.drive.half_cycle_s
+    load, drive = configuration.load, configuration.drive
     settings, model = controller_settings(configuration), build_load(configuration)
     pole_min, pole_max = loads.pole_range(settings, model, load)
     patience_s = configuration.interlocks.precharge_timeout_s
-    drive = configuration.drive
+    verdict_ticks = frame_rate.verdict_ticks(configuration.bus.ticks_per_reading)
     return MachineLimits(
-        govern=load.govern,
-        reference_min=load.reference_min,
-        reference_max=load.reference_max,
-        output_unit=load.output_unit,
-        given=drive.given,
+        load=load,
+        drive=drive,
         pole_min=pole_min,
         pole_max=pole_max,
-        period_min_s=_SHORTEST_WAVE_PERIODS * load.period_s,
-        floor_V=drive.limits.boost_reference_min_V,
-        ceiling_V=drive.limits.boost_reference_max_V,
-        slew_V_per_s=drive.limits.manual_slew_V_per_s,
-        boost_needs_bridge=drive.enable_bit == "bridge-and-boost",
-        starting_ticks=round(patience_s / tick),
-        rate_s=max(
-            patience_s, tick * frame_rate.verdict_ticks(configuration.bus.ticks_per_reading)
-        ),
-        tick_s=tick,
+        starting_ticks=round(patience_s / drive.half_cycle_s),
+        rate_s=max(patience_s, verdict_ticks * drive.half_cycle_s),
         reach=nominal_reach(model, settings.stage),
     )
 
 
 def _fast_loop(configuration: Configuration) -> FastLoopSettings:
-    drive, bus = configuration.drive, configuration.bus
-    command = CommandLimits(
-        current_scale_min_S=drive.current_scale_min_S,
-        current_scale_max_S=drive.limits.current_scale_max_S,
-        current_scale_slew_S=drive.limits.current_scale_slew_S,
-        boost_reference_min_V=drive.limits.boost_reference_min_V,
-        boost_reference_max_V=drive.limits.boost_reference_max_V,
-        given=drive.given,
-    )
+    bus = configuration.bus
     return FastLoopSettings(
         latency_ticks=configuration.load.latency_ticks,
         drive_clocks=isinstance(bus, CanBus)
         or (isinstance(bus, CanOpenBus) and bus.sync == "drive"),
         limits=trip_limits(configuration),
         watches=watches(configuration),
-        command=command,
+        drive=configuration.drive,
         timing=configuration.timing,
         capacitor=capacitor_limits(configuration),
     )

@@ -191,10 +191,8 @@ def voltage_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     """
     if whole.voltage_loop.where == "drive":
         return
-    parts, stale_s = (
-        root.needed_names(whole.derived, ("boost_voltage_V",)),
-        whole.interlocks.stale_s,
-    )
+    parts = root.needed_names(whole.derived, ("boost_voltage_V",))
+    stale_s = whole.interlocks.stale_s
     longest_s = root.VOLTAGE_TICKS * whole.drive.half_cycle_s
     problem = "is too long for boost_voltage_V with voltage_loop.where = 'daemon': at most"
     for number, bus in enumerate(whole.sensor_bus):
@@ -262,8 +260,8 @@ def _rate_flaws(whole: root.Configuration) -> Iterator[Flaw]:
 def _command_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     where = whole.voltage_loop.where
     needed = ["current_scale_S" if where == "daemon" else "boost_reference_V"]
-    one_bit = whole.drive.enable_bit == "bridge-and-boost"
-    if not (whole.bus.has_bridge_words or (where == "drive" and one_bit)):
+    stopped = where == "drive" and whole.drive.boost_needs_bridge  # by a set-point of 0
+    if not (stopped or whole.bus.has_bridge_words):
         needed.append("bridge")
     for name in needed:
         why = f"voltage_loop.where = {where!r} needs it"

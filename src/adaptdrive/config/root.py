@@ -56,11 +56,6 @@ class Manipulated(section.Section):
     unit: str = section.key("V", max_length=16)
     """unit in all that leaves the daemon, such as `Hz`, `Nm`, `A` or `%`"""
 
-    @property
-    def given(self) -> Given:
-        """The words for it."""
-        return Given(self.name, self.unit)
-
 
 class DriveSection(section.Section):
     """`[drive]`: the power-electronic drive."""
@@ -84,7 +79,12 @@ class DriveSection(section.Section):
     @property
     def given(self) -> Given:
         """The words for what it is commanded, and gives."""
-        return self.manipulated.given
+        return Given(self.manipulated.name, self.manipulated.unit)
+
+    @property
+    def boost_needs_bridge(self) -> bool:
+        """True where the bridge is on while v_bst rises."""
+        return self.enable_bit == "bridge-and-boost"
 
     @property
     def half_cycle_s(self) -> float:

@@ -167,19 +167,12 @@ def _texts_below_keys(module: str) -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {}
     for node in ast.parse(inspect.getsource(sys.modules[module])).body:
         if isinstance(node, ast.ClassDef):
-            pairs = itertools.pairwise(node.body)
-            keys = ((one, below) for one, below in pairs if isinstance(one, ast.AnnAssign))
-            texts = {ast.unparse(one.target): _text_of(below) for one, below in keys}
-            found[node.name] = {name: text for name, text in texts.items() if text}
+            found[node.name] = {
+                ast.unparse(one.target): " ".join(ast.literal_eval(below.value).split())
+                for one, below in itertools.pairwise(node.body)
+                if isinstance(one, ast.AnnAssign) and isinstance(below, ast.Expr)
+            }
     return found
-
-
-def _text_of(node: ast.stmt) -> str:
-    """Return a statement that is a text as one line, empty for any other statement."""
-    match node:
-        case ast.Expr(value=ast.Constant(value=str(text))):
-            return " ".join(text.split())
-    return ""
 
 
 class Range(Section):

@@ -72,7 +72,7 @@ class Daemon:
         self._clock = clock
         self._hub = hub
         self._manager = manager
-        self._machine = state_machine.Machine(settings.machine, settings.pole)
+        self._machine = state_machine.Machine(settings.machine)
         self._fast = fast_loop.FastLoop(port, controller, self._machine, settings.fast, self)
         self._decide = controller.decide
         self._snapshots: asyncio.Queue[Snapshot] = asyncio.Queue(maxsize=_WAITING_AT_MOST)

@@ -107,7 +107,7 @@ class FastLoop:
         self._half_cycles = timebase.HalfCycles(
             port.counter_modulus, timing.half_cycle_s, self._stride, timing.stale_s
         )
-        self.guard = interlocks.Guard(settings.command)
+        self.guard = interlocks.Guard(settings.drive)
         capacitor = settings.capacitor
         self._capacitor = None if capacitor is None else CapacitorBalance(capacitor)
         self._assumes_voltage = "boost_voltage_V" in settings.limits.absent

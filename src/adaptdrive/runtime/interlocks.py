@@ -8,11 +8,12 @@ import math
 from collections.abc import Callable
 
 from adaptdrive.config.bus import MEASURED
+from adaptdrive.config.root import DriveSection
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.faults import describe_fault
 from adaptdrive.devices.port import Port, Reading
 from adaptdrive.runtime.frame_rate import verdict_ticks
-from adaptdrive.runtime.settings import CommandLimits, FastLoopSettings, Limits
+from adaptdrive.runtime.settings import FastLoopSettings, Limits
 from adaptdrive.runtime.stopping import BridgeWatch
 from adaptdrive.runtime.timebase import HalfCycles
 
@@ -252,8 +253,8 @@ class Guard:
         limited: Commands that were held to a limit.
     """
 
-    def __init__(self, limits: CommandLimits) -> None:
-        self._limits = limits
+    def __init__(self, drive: DriveSection) -> None:
+        self._drive = drive
         self._last_scale_S = 0.0
         self.limited = 0
 
@@ -265,7 +266,7 @@ class Guard:
         """
         scale_S, reference_V = command.current_scale_S, command.boost_reference_V
         if not (math.isfinite(scale_S) and math.isfinite(reference_V)):
-            given = self._limits.given
+            given = self._drive.given
             raise ValueError(
                 f"the controller gave k = {scale_S:g} S, {given.symbol} = "
                 f"{given.text(reference_V, 'g')}, which is not finite; keep the session "
@@ -274,8 +275,8 @@ class Guard:
         if not (command.bridge or scale_S or reference_V):
             self._last_scale_S = 0.0
             return SAFE_COMMAND
-        limits, last_S = self._limits, self._last_scale_S
-        low_S = max(limits.current_scale_min_S, last_S - limits.current_scale_slew_S)
+        limits, last_S = self._drive.limits, self._last_scale_S
+        low_S = max(self._drive.current_scale_min_S, last_S - limits.current_scale_slew_S)
         high_S = min(limits.current_scale_max_S, last_S + limits.current_scale_slew_S)
         self._last_scale_S = min(max(scale_S, low_S), high_S)
         lowest_V = min(limits.boost_reference_min_V, 0.0)

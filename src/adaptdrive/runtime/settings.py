@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from adaptdrive.config.load import LoadSection
+from adaptdrive.config.root import DriveSection
 from adaptdrive.config.services import Realtime
 from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Decision, Snapshot
@@ -61,6 +63,9 @@ class ManualVoltage:
 _LONGEST_HOLD_S = 86_400.0
 """A day, as for the times of supervision in the configuration; None is no limit at all."""
 
+_SHORTEST_WAVE_PERIODS = 4
+"""Shortest period of a waveform, in slow periods: two samples for each half."""
+
 FLOOR_REACHED = 0.99
 """Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""
 
@@ -83,40 +88,32 @@ class MachineLimits:
     """Limits of an operator's requests, and of the time to start.
 
     Attributes:
-        reference_min: Lowest set-point.
-        reference_max: Highest set-point.
-        output_unit: Unit of the set-point, for refusals.
+        load: Its set-points, and the pole at start.
+        drive: Its V_c.
         pole_min: Fastest pole whose fixed gains stand an error of the model.
         pole_max: Slowest such pole.
-        period_min_s: Shortest period of a waveform.
-        floor_V: Boost voltage at which starting ends, and lowest V_c.
-        ceiling_V: Highest V_c.
-        slew_V_per_s: Largest slope of V_c in mode manual.
         starting_ticks: Longest precharge, in fast ticks.
         rate_s: Longest wait for a known rate of the half cycles before it.
-        tick_s: Half a line cycle at nominal frequency.
-        boost_needs_bridge: Whether the bridge is on in `starting` already.
         reach: What V_c can hold by the nominal model.
-        govern: Whether a set-point out of reach is moved to its edge, not refused.
-        given: Name and unit of V_c and what it leads to.
     """
 
-    reference_min: float
-    reference_max: float
-    output_unit: str
+    load: LoadSection
+    drive: DriveSection
     pole_min: float
     pole_max: float
-    period_min_s: float
-    floor_V: float
-    ceiling_V: float
-    slew_V_per_s: float
     starting_ticks: int
     rate_s: float
-    tick_s: float
-    boost_needs_bridge: bool = False
     reach: Reach = UNKNOWN
-    govern: bool = False
-    given: Given = BOOST
+
+    @property
+    def floor_V(self) -> float:
+        """Boost voltage at which starting ends, and lowest V_c."""
+        return self.drive.limits.boost_reference_min_V
+
+    @property
+    def period_min_s(self) -> float:
+        """Shortest period of a waveform."""
+        return _SHORTEST_WAVE_PERIODS * self.load.period_s
 
     @property
     def rest_V(self) -> float:
@@ -126,7 +123,8 @@ class MachineLimits:
     @property
     def precharges(self) -> bool:
         """True where the lowest V_c is waited for, unlike a frequency of a drive that is off."""
-        return self.floor_V > 0.0 and (self.boost_needs_bridge or self.given.is_boost_voltage)
+        drive = self.drive
+        return self.floor_V > 0.0 and (drive.boost_needs_bridge or drive.given.is_boost_voltage)
 
     def require_reference(self, what: str, value: float) -> None:
         """Refuse a set-point that the configuration does not allow.
@@ -138,15 +136,16 @@ class MachineLimits:
         Raises:
             RefusedError: The value is out of range or not finite.
         """
-        _require(what, value, self.reference_min, self.reference_max, f" {self.output_unit}")
+        load = self.load
+        _require(what, value, load.reference_min, load.reference_max, f" {load.output_unit}")
 
     def require_reach(self, what: str, value: float, reach: Reach) -> None:
         """Refuse a set-point that V_c cannot hold, unless it is governed.
 
         Arguments as of `require_reference`.
         """
-        if not (self.govern or can_hold(reach, value)):
-            unit, why = f" {self.output_unit}", f", which {self.given.symbol} can hold"
+        if not (self.load.govern or can_hold(reach, value)):
+            unit, why = f" {self.load.output_unit}", f", which {self.drive.given.symbol} can hold"
             _require(what, value, reach.low, reach.high, unit, why)
 
     def require_period(self, what: str, value: float) -> None:
@@ -160,8 +159,8 @@ class MachineLimits:
 
     def require_voltage(self, value: float, hold_s: float | None) -> None:
         """Refuse a V_c, in V, or a time to hold it, in s, that is out of range."""
-        given = self.given
-        _require(given.by_hand, value, self.floor_V, self.ceiling_V, f" {given.unit}".rstrip())
+        given, highest_V = self.drive.given, self.drive.limits.boost_reference_max_V
+        _require(given.by_hand, value, self.floor_V, highest_V, f" {given.unit}".rstrip())
         if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
             raise RefusedError(
                 f"hold_s = {hold_s:g} s is not above 0 s and at most {_LONGEST_HOLD_S:g} s"
@@ -174,19 +173,21 @@ class MachineLimits:
 
     def nearest_reference(self, output: float) -> float:
         """Return the allowed set-point that is nearest to an output."""
-        return min(max(output, self.reference_min), self.reference_max)
+        return min(max(output, self.load.reference_min), self.load.reference_max)
 
     def held(self, voltage_V: float, tick: int) -> ManualVoltage:
         """Return a V_c that stays, at the limit nearest to the given one."""
-        held_V = min(max(self.floor_V, voltage_V), self.ceiling_V)
-        return ManualVoltage(held_V, held_V, tick, self.slew_V_per_s * self.tick_s)
+        limits = self.drive.limits
+        held_V = min(max(self.floor_V, voltage_V), limits.boost_reference_max_V)
+        slew_V = limits.manual_slew_V_per_s * self.drive.half_cycle_s
+        return ManualVoltage(held_V, held_V, tick, slew_V)
 
     def precharge_cause(self, boost_voltage_V: float) -> str:
         """Return the cause of a trip in state `starting`, with the likeliest remedy."""
-        passed_s, given = self.starting_ticks * self.tick_s, self.given
+        passed_s, given = self.starting_ticks * self.drive.half_cycle_s, self.drive.given
         hint = (
             ", with its enable bit on"
-            if self.boost_needs_bridge
+            if self.drive.boost_needs_bridge
             else "; a boost stage that works only with the enable bit on needs drive.enable_bit = "
             "'bridge-and-boost'"
         )
@@ -225,33 +226,12 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class CommandLimits:
-    """Limits of commands.
-
-    Attributes:
-        current_scale_min_S: Lowest k.
-        current_scale_max_S: Highest k.
-        current_scale_slew_S: Largest change of k from one tick to the next.
-        boost_reference_max_V: Highest V_c.
-        boost_reference_min_V: Lowest V_c where that is negative; else 0, the safe command's.
-        given: Name and unit of V_c, for texts.
-    """
-
-    current_scale_min_S: float
-    current_scale_max_S: float
-    current_scale_slew_S: float
-    boost_reference_max_V: float
-    boost_reference_min_V: float = 0.0
-    given: Given = BOOST
-
-
-@dataclass(frozen=True, slots=True)
 class FastLoopSettings:
     """Settings of the fast loop.
 
     Attributes:
         limits: Trip levels.
-        command: Limits of what may be sent.
+        drive: Limits of what may be sent.
         timing: Times of the drive.
         latency_ticks: L, ticks from a snapshot to the effect of its decision.
         watches: Factories of the watches over the output, in the order of their causes.
@@ -260,7 +240,7 @@ class FastLoopSettings:
     """
 
     limits: Limits
-    command: CommandLimits
+    drive: DriveSection
     timing: Timing
     latency_ticks: int
     watches: tuple[Callable[[], plausibility.Watch], ...] = ()
@@ -274,7 +254,6 @@ class DaemonSettings:
 
     Attributes:
         machine: Operator's limits.
-        pole: Closed-loop pole at start.
         fast: The fast loop.
         report_s: Time between two drive reports.
         realtime: How hard the fast loop is protected from the rest of the machine.
@@ -282,7 +261,6 @@ class DaemonSettings:
     """
 
     machine: MachineLimits
-    pole: float
     fast: FastLoopSettings
     report_s: float
     realtime: Realtime

@@ -43,14 +43,14 @@ class Machine:
         reach: What V_c can hold, by the model in force.
     """
 
-    def __init__(self, limits: MachineLimits, pole: float) -> None:
+    def __init__(self, limits: MachineLimits) -> None:
         self._limits = limits
         self.state = State.STANDBY
         self.mode = Mode.FIXED
         self.manual = self._limits.held(limits.rest_V, 0)
-        self.setpoint = limits.reference_min
+        self.setpoint = limits.load.reference_min
         self.waveform: Waveform | None = None
-        self.pole = pole
+        self.pole = limits.load.pole
         self.trip: str | None = None
         self.stopped = False
         self.reach = limits.reach
@@ -83,7 +83,8 @@ class Machine:
         """Return the reason why V_c cannot hold the set-point, empty where it can."""
         if not self.energised:
             return ""
-        reach, unit, given = self.reach, self._limits.output_unit, self._limits.given
+        reach, unit = self.reach, self._limits.load.output_unit
+        given = self._limits.drive.given
         within = f"{reach.low:g}…{reach.high:g} {unit}".rstrip()
         if self.coasting:
             known = f" within {within}" if reach.is_known else ""
@@ -91,7 +92,7 @@ class Machine:
             return f"coasting with the bridge off until a {awaited}"
         if self.mode is Mode.MANUAL or self._is_within(reach):
             return ""
-        if self._limits.govern:
+        if self._limits.load.govern:
             return f"set-point is governed: {given.symbol} can hold {within}, and more is asked for"
         if self.waveform is not None:
             return ""
@@ -121,8 +122,9 @@ class Machine:
         """The set-point at a tick; governed to the edge of what V_c can hold where that is set."""
         asked = self.setpoint
         if self.waveform is not None:
-            asked = self.waveform.value((tick - self._waveform_tick) * self._limits.tick_s)
-        return self.reach.nearest(asked) if self._limits.govern else asked
+            passed_s = (tick - self._waveform_tick) * self._limits.drive.half_cycle_s
+            asked = self.waveform.value(passed_s)
+        return self.reach.nearest(asked) if self._limits.load.govern else asked
 
     def manual_V(self, tick: int) -> float:
         """V_c asked for at a tick in mode manual, 0 in every other."""
@@ -207,7 +209,7 @@ class Machine:
             target_V=value + 0.0,
             since_tick=tick,
             hold_s=hold_s,
-            hold_ticks=0 if hold_s is None else math.ceil(hold_s / self._limits.tick_s),
+            hold_ticks=0 if hold_s is None else math.ceil(hold_s / self._limits.drive.half_cycle_s),
         )
         if self.coasting:
             self._start()
@@ -269,8 +271,8 @@ class Machine:
         limits, known = self._limits, self.reach.is_known
         self.waveform = None
         self.manual = limits.held(limits.rest_V, tick)
-        below = known and output < max(limits.reference_min, self.reach.low)
-        at_rest = max(output, min(limits.reference_min, 0.0))
+        below = known and output < max(limits.load.reference_min, self.reach.low)
+        at_rest = max(output, min(limits.load.reference_min, 0.0))
         self.setpoint = at_rest if below else limits.nearest_reference(output)
         if below or self.mode is Mode.MANUAL or not known:
             self._coast()

@@ -70,9 +70,7 @@ def leaving(configuration: Configuration) -> Iterator[str]:
     for refuse in (
         lambda: machine.require_voltage(1e3, None),
         lambda: machine.require_reach("setpoint", 1e3, Reach(0.0, 5.0)),
-        lambda: Guard(daemon_settings(configuration).fast.command).check(
-            Command(0, math.nan, True)
-        ),
+        lambda: Guard(configuration.drive).check(Command(0, math.nan, True)),
     ):
         with pytest.raises((RefusedError, ValueError)) as refusal:
             refuse()

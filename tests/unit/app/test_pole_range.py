@@ -31,7 +31,7 @@ def configured(name: str, *changes: str) -> Configuration:
 def ask(configuration: Configuration, pole: float) -> float:
     """The pole in force after a command."""
     settings = daemon_settings(configuration)
-    machine = Machine(settings.machine, settings.pole)
+    machine = Machine(settings.machine)
     machine.carry_out(SetPole(pole), 0, math.nan, None)
     return machine.pole
 

@@ -59,7 +59,7 @@ class Bench:
         self.bus = SensorBus("thermo", self.sensors, STALE_s, ("hot", "cold"))
         rules = {"output": Derived(rule="difference", of=["hot", "cold"])}
         self.port = SensoredPort(self.drive, [self.bus], rules, self.around.now_s)
-        self.machine = Machine(SETTINGS.machine, SETTINGS.pole)
+        self.machine = Machine(SETTINGS.machine)
         settings = replace(FAST, drive_clocks=False)
         self.loop = FastLoop(self.port, MotorController(), self.machine, settings, self.around)
         self.counter = 0

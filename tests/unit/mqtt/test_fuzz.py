@@ -51,11 +51,11 @@ class VirtualHost:
 
     def __init__(self) -> None:
         self.stops = 0
-        self.machine = Machine(LIMITS, pole=0.7)
+        self.machine = Machine(LIMITS)
 
     def begin(self, state: State) -> None:
         """Take a running or an idle machine."""
-        self.machine = Machine(LIMITS, pole=0.7)
+        self.machine = Machine(LIMITS)
         if state is State.RUNNING:
             self.machine.carry_out(Enable(), 1, 3.0, None)
             self.machine.advance(2, 0.0)

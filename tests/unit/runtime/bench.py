@@ -155,7 +155,7 @@ class FastBench:
         self.sent: list[Command] = []
         self.port = LoopbackPort(self._command, counter_modulus=modulus)
         self.port.stop_slack_s = slack_s
-        self.machine = Machine(SETTINGS.machine, SETTINGS.pole)
+        self.machine = Machine(SETTINGS.machine)
         self.controller = MotorController()
         self.loop = FastLoop(self.port, self.controller, self.machine, settings, self.around)
         self.unsendable: Callable[[Command], bool] = lambda _: False

@@ -98,7 +98,7 @@ async def test_a_command_that_is_held_to_a_limit_is_counted() -> None:
         bench.controller.replace_tick = lambda *_: Command(0.1, 1e6, bridge=True)
         bench.frames(3)
         assert bench.loop.guard.limited == 3
-        assert bench.loop.command.boost_reference_V == FAST.command.boost_reference_max_V
+        assert bench.loop.command.boost_reference_V == FAST.drive.limits.boost_reference_max_V
 
 
 async def test_a_frame_that_waited_in_the_bus_takes_the_place_of_the_stand_in(

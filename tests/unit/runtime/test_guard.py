@@ -4,33 +4,41 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import replace
+from typing import Literal
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptdrive.config.root import DriveLimits, DriveSection
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.runtime.interlocks import Guard
-from adaptdrive.runtime.settings import CommandLimits
 
 ANY = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-1.0, 1.0)
 COMMANDS = st.builds(Command, ANY, ANY | st.floats(0.0, 500.0), st.booleans())
-LIMITS = st.builds(
-    CommandLimits,
-    st.sampled_from([0.0, -0.15]),
-    st.just(0.15),
+
+
+def drive(
+    kind: Literal["unidirectional", "bidirectional"], slew_S: float, lowest_V: float = 200.0
+) -> DriveSection:
+    """A drive with k of 0.15 S at the most, and 400 V."""
+    limits = DriveLimits(current_scale_slew_S=slew_S, boost_reference_min_V=lowest_V)
+    return DriveSection(name="guarded", kind=kind, limits=limits)
+
+
+DRIVES = st.builds(
+    drive,
+    st.sampled_from(["unidirectional", "bidirectional"]),
     st.sampled_from([0.01, 0.05, 0.15, 0.4]),
-    st.just(400.0),
 )
-UNIDIRECTIONAL = CommandLimits(0.0, 0.15, 0.02, 400.0)
+UNIDIRECTIONAL = drive("unidirectional", 0.02)
 
 
-@given(limits=LIMITS, wanted=st.lists(st.just(SAFE_COMMAND) | COMMANDS, max_size=60))
+@given(guarded=DRIVES, wanted=st.lists(st.just(SAFE_COMMAND) | COMMANDS, max_size=60))
 def test_what_goes_out_is_finite_in_range_and_does_not_jump(
-    limits: CommandLimits, wanted: list[Command]
+    guarded: DriveSection, wanted: list[Command]
 ) -> None:
-    guard, last_S = Guard(limits), 0.0
+    guard, limits, last_S = Guard(guarded), guarded.limits, 0.0
     for command in wanted:
         values = (command.current_scale_S, command.boost_reference_V)
         if not all(map(math.isfinite, values)):
@@ -38,7 +46,7 @@ def test_what_goes_out_is_finite_in_range_and_does_not_jump(
                 guard.check(command)
             continue
         sent = guard.check(command)
-        assert limits.current_scale_min_S <= sent.current_scale_S <= limits.current_scale_max_S
+        assert guarded.current_scale_min_S <= sent.current_scale_S <= limits.current_scale_max_S
         assert 0.0 <= sent.boost_reference_V <= limits.boost_reference_max_V
         jump_S = abs(sent.current_scale_S - last_S)
         assert sent == SAFE_COMMAND or jump_S <= limits.current_scale_slew_S * (1 + 1e-12)
@@ -46,9 +54,9 @@ def test_what_goes_out_is_finite_in_range_and_does_not_jump(
         last_S = sent.current_scale_S
 
 
-@given(limits=LIMITS, before=st.lists(COMMANDS, max_size=20))
-def test_the_safe_command_passes_at_once(limits: CommandLimits, before: list[Command]) -> None:
-    guard = Guard(limits)
+@given(guarded=DRIVES, before=st.lists(COMMANDS, max_size=20))
+def test_the_safe_command_passes_at_once(guarded: DriveSection, before: list[Command]) -> None:
+    guard = Guard(guarded)
     for command in before:
         with contextlib.suppress(ValueError):
             guard.check(command)
@@ -87,7 +95,7 @@ def test_a_low_voltage_passes_as_it_is() -> None:
 
 
 def test_a_drive_that_runs_both_ways_is_commanded_backwards() -> None:
-    guard = Guard(replace(UNIDIRECTIONAL, boost_reference_min_V=-100.0))
+    guard = Guard(drive("unidirectional", 0.02, lowest_V=-100.0))
     for asked, sent in ((-5.0, -5.0), (-100.0, -100.0), (-101.0, -100.0)):
         assert guard.check(Command(0.0, asked, bridge=True)).boost_reference_V == sent
     assert guard.limited == 1

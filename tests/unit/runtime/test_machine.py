@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from adaptdrive.config.load import MotorModel, MotorSection
+from adaptdrive.config.root import DriveLimits, DriveSection
 from adaptdrive.control.signals import Mode, Shape, Stage, Waveform
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
 from adaptdrive.runtime.reports import State
@@ -27,19 +29,19 @@ from adaptdrive.runtime.settings import FLOOR_REACHED, MachineLimits
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.errors import RefusedError
 
-LIMITS = MachineLimits(
-    reference_min=0.0,
+LOAD = MotorSection(
+    type="motor",
     reference_max=4.5,
-    output_unit="V",
+    model=MotorModel(gain=0.011, tau_motor_s=11.7, tau_filter_s=10.0),
+)
+DRIVE = DriveSection(name="desk", limits=DriveLimits(manual_slew_V_per_s=60.0))
+LIMITS = MachineLimits(
+    load=LOAD,
+    drive=DRIVE,
     pole_min=0.5,
     pole_max=0.98,
-    period_min_s=4.0,
-    floor_V=200.0,
-    ceiling_V=400.0,
-    slew_V_per_s=60.0,
     starting_ticks=600,
     rate_s=5.0,
-    tick_s=1.0 / 120.0,
     reach=Reach(-9.0, 9.0),
 )
 """A drive that can hold any set-point."""
@@ -53,7 +55,7 @@ class Desk:
     """A machine at a tick that counts on, with limits of its own."""
 
     def __init__(self, **limits: Any) -> None:
-        self.machine = Machine(replace(LIMITS, **limits), pole=0.7)
+        self.machine = Machine(replace(LIMITS, **limits))
         self.tick = 100
         self.cause: str | None = None
 
@@ -173,7 +175,7 @@ def test_a_set_point_in_force_that_goes_out_of_reach_is_named() -> None:
 
 @pytest.fixture
 def governed() -> Desk:
-    desk = Desk(reach=REACH, govern=True)
+    desk = Desk(reach=REACH, load=LOAD.model_copy(update={"govern": True}))
     desk.ask(Enable(), output=3.0)
     desk.pass_ticks(2)
     return desk
@@ -241,7 +243,7 @@ def test_a_wait_for_the_rate_of_an_earlier_start_does_not_count(starting: Desk) 
 def test_a_precharge_that_waited_for_its_rate_may_last_as_long_as_any(starting: Desk) -> None:
     for _ in range(500):
         starting.tick += 1
-        now_s = starting.tick * LIMITS.tick_s
+        now_s = starting.tick * DRIVE.half_cycle_s
         starting.machine.advance(starting.tick, 150.0, unknown_rate="why", now_s=now_s)
     assert starting.machine.stage is Stage.OFF
     starting.pass_ticks(601, boost_voltage_V=171.0)

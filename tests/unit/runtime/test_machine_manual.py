@@ -6,9 +6,11 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
+from adaptdrive.config.root import DriveLimits, Manipulated
 from adaptdrive.control.signals import Mode, Shape, Stage, Waveform
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
 from adaptdrive.runtime.reports import State
@@ -24,15 +26,14 @@ from adaptdrive.runtime.requests import (
 )
 from adaptdrive.runtime.settings import MachineLimits, ManualVoltage
 from adaptdrive.util.errors import RefusedError
-from adaptdrive.util.quantity import Given
-from tests.unit.runtime.test_machine import LIMITS, REACH, SQUARE, Desk
+from tests.unit.runtime.test_machine import DRIVE, LIMITS, LOAD, REACH, SQUARE, Desk
 
 SLEW_V = 0.5
 """Of V_c in one tick."""
 
 
 def running(output: float = 3.0, *, govern: bool = False) -> Desk:
-    desk = Desk(reach=REACH, govern=govern)
+    desk = Desk(reach=REACH, load=LOAD.model_copy(update={"govern": govern}))
     desk.ask(Enable(), output)
     desk.pass_ticks(2)
     return desk
@@ -118,7 +119,7 @@ def test_a_trip_of_a_drive_that_is_off_is_reset_into_standby_unless_in_doubt() -
 def test_a_load_that_turns_backwards_coasts_at_a_set_point_of_0(
     output: float, setpoint: float
 ) -> None:
-    desk = Desk(reach=REACH, reference_min=1.5)
+    desk = Desk(reach=REACH, load=LOAD.model_copy(update={"reference_min": 1.5}))
     desk.ask(Enable(), output)
     assert desk.machine.coasting
     assert desk.machine.setpoint == setpoint
@@ -126,7 +127,7 @@ def test_a_load_that_turns_backwards_coasts_at_a_set_point_of_0(
 
 @pytest.mark.parametrize(("setpoint", "coasts"), [(-1.0, False), (-1.5, True), (0.0, False)])
 def test_a_set_point_below_0_that_v_c_can_hold_is_held(setpoint: float, *, coasts: bool) -> None:
-    desk = Desk(reach=Reach(-1.0, 4.0), reference_min=-2.0)
+    desk = Desk(reach=Reach(-1.0, 4.0), load=LOAD.model_copy(update={"reference_min": -2.0}))
     desk.ask(Enable(), output=1.0)
     desk.pass_ticks(2)
     desk.ask(SetSetpoint(setpoint))
@@ -137,7 +138,8 @@ def test_a_set_point_below_0_that_v_c_can_hold_is_held(setpoint: float, *, coast
 def test_the_voltage_begins_at_the_lowest_or_at_zero_in_each_run(
     floor_V: float, rests_V: float
 ) -> None:
-    desk = Desk(floor_V=floor_V)
+    limits = DriveLimits(boost_reference_min_V=floor_V)
+    desk = Desk(drive=DRIVE.model_copy(update={"limits": limits}))
     assert [desk.machine.manual.value(tick) for tick in (0, 1)] == [rests_V] * 2
     desk.ask(Enable(), 3.0)
     desk.machine.carry_out(SetMode(Mode.MANUAL), desk.tick, 3.0, None, 390.0)
@@ -251,6 +253,10 @@ def test_a_doubted_stop_must_be_confirmed_again_and_stops_no_drive_that_runs(*, 
     assert (desk.machine.stage is Stage.RUN) is runs
 
 
+def loaded(**changes: Any) -> MachineLimits:
+    return replace(LIMITS, load=LOAD.model_copy(update=changes))
+
+
 NARROW = Reach(2.25, 4.25)
 Check = Callable[[], None]
 
@@ -259,7 +265,7 @@ WITHIN: dict[str, Check] = {
     "highest set-point": lambda: LIMITS.require_reference("setpoint", 4.5),
     "lowest in reach": lambda: LIMITS.require_reach("setpoint", 2.25, NARROW),
     "highest in reach": lambda: LIMITS.require_reach("setpoint", 4.25, NARROW),
-    "governed": lambda: replace(LIMITS, govern=True).require_reach("setpoint", 9.0, NARROW),
+    "governed": lambda: loaded(govern=True).require_reach("setpoint", 9.0, NARROW),
     "shortest period": lambda: LIMITS.require_period("period_s", 4.0),
     "fastest pole": lambda: LIMITS.require_pole(0.5),
     "slowest pole": lambda: LIMITS.require_pole(0.98),
@@ -275,7 +281,7 @@ BEYOND: dict[str, Check] = {
     "setpoint = nan V is outside 0…4.5 V":
         lambda: LIMITS.require_reference("setpoint", math.nan),
     "setpoint = inf V is outside 0…inf V":
-        lambda: replace(LIMITS, reference_max=math.inf).require_reference("setpoint", math.inf),
+        lambda: loaded(reference_max=math.inf).require_reference("setpoint", math.inf),
     "low = 2.2 V is outside 2.25…4.25 V, which V_c can hold":
         lambda: LIMITS.require_reach("low", 2.2, NARROW),
     "high = 4.3 V is outside 2.25…4.25 V, which V_c can hold":
@@ -322,7 +328,8 @@ def test_an_unknown_voltage_is_held_at_the_floor() -> None:
 
 @pytest.mark.parametrize("needs_bridge", [False, True])
 def test_a_precharge_that_fails_names_voltage_time_and_remedy(*, needs_bridge: bool) -> None:
-    limits: MachineLimits = replace(LIMITS, boost_needs_bridge=needs_bridge)
+    bit = "bridge-and-boost" if needs_bridge else "bridge"
+    limits = replace(LIMITS, drive=DRIVE.model_copy(update={"enable_bit": bit}))
     cause = limits.precharge_cause(171.04)
     assert cause.startswith("precharge: v_bst = 171.0 V after 5 s, needs 200 V")
     assert ("with its enable bit on" in cause) is needs_bridge
@@ -341,7 +348,11 @@ def test_a_precharge_that_fails_names_voltage_time_and_remedy(*, needs_bridge: b
 def test_only_a_boost_stage_and_what_is_switched_on_are_waited_for(
     name: str, one_bit: bool, state: State
 ) -> None:
-    desk = Desk(boost_needs_bridge=one_bit, given=Given(name, "Hz"))
+    changes = {
+        "enable_bit": "bridge-and-boost" if one_bit else "bridge",
+        "manipulated": Manipulated(name=name, unit="Hz"),
+    }
+    desk = Desk(drive=DRIVE.model_copy(update=changes))
     desk.ask(Enable())
     for tick in range(2):
         desk.machine.advance(tick, 0.0)

@@ -28,7 +28,7 @@ from adaptdrive.runtime.requests import (
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.errors import RefusedError
 from tests.unit.runtime.test_machine import LIMITS as PLAIN
-from tests.unit.runtime.test_machine import REACH
+from tests.unit.runtime.test_machine import LOAD, REACH
 
 LIMITS = replace(PLAIN, reach=REACH)
 
@@ -50,7 +50,7 @@ class AnyOperator(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.machine = Machine(LIMITS, pole=0.7)
+        self.machine = Machine(LIMITS)
         self.tick = 0
         self.allowed = False
         self.trip: str | None = None
@@ -139,11 +139,11 @@ class AnyOperator(RuleBasedStateMachine):
         if self.machine.stage is Stage.RUN and self.machine.mode is not Mode.MANUAL:
             for ahead in (0, 1, 777, 100_003):
                 value = self.machine.reference(self.tick + ahead)
-                assert REACH.low - ROUNDING <= value <= LIMITS.reference_max + ROUNDING
+                assert REACH.low - ROUNDING <= value <= LOAD.reference_max + ROUNDING
 
     @invariant()
     def limits_hold(self) -> None:
-        low, high = LIMITS.reference_min - ROUNDING, LIMITS.reference_max + ROUNDING
+        low, high = LOAD.reference_min - ROUNDING, LOAD.reference_max + ROUNDING
         for ahead in (0, 1, 777, 100_003):
             assert low <= self.machine.reference(self.tick + ahead) <= high
         assert LIMITS.pole_min <= self.machine.pole <= LIMITS.pole_max

@@ -55,7 +55,7 @@ def delivered() -> Decided:
 @pytest.fixture
 def slow(delivered: Decided) -> Daemon:
     fast = SimpleNamespace(deliver=lambda *pair: delivered.append(pair))
-    machine = Machine(SETTINGS.machine, SETTINGS.pole)
+    machine = Machine(SETTINGS.machine)
     return idle_daemon(machine, cast(FastLoop, fast), lambda: 0.0, Decider())
 
 
