@@ -164,7 +164,6 @@ class WarmUp:
         """
         self._configuration = configuration
         self._time_s = 0.0
-        self._snapshots: list[Snapshot] = []
         settings = daemon_settings(configuration)
         self._controller = Controller(
             controller_settings(configuration), loads.build_load(configuration)
@@ -188,9 +187,6 @@ class WarmUp:
             self._read(output * (1.0 + 0.001 * math.sin(0.1 * number)))
             for request in start if number == _READINGS_BEFORE_START else ():
                 machine.carry_out(request, loop.tick, output, loop.cause)
-            for snapshot in tuple(self._snapshots):
-                self._snapshots.clear()
-                loop.deliver(snapshot, self._controller.decide(snapshot))
         loop.on_deadline(self._time_s)
         machine.carry_out(requests.Disable(), loop.tick, math.nan, None)
         loop.send_safe()
@@ -202,18 +198,14 @@ class WarmUp:
         return self._time_s
 
     def snapshot_taken(self, snapshot: Snapshot) -> bool:
-        """Keep it for the controller."""
-        self._snapshots.append(snapshot)
+        """Decide at once: no drive waits for the end of the tick."""
+        self._loop.deliver(snapshot, self._controller.decide(snapshot))
         return True
-
-    def run_ended(self) -> None:
-        """Forget what waits for the controller."""
-        self._snapshots.clear()
 
     def arm(self, *_values: object, **_named: object) -> None:
         """Do nothing: no timer stands in, and nobody looks."""
 
-    met_deadline = ticked = decided = not_stopped = arm
+    met_deadline = ticked = decided = not_stopped = run_ended = arm
 
     def _read(self, output: float) -> None:
         """Run the tick of a reading with an output of the load."""
