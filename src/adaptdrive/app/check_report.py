@@ -8,14 +8,15 @@ from typing import Any, Final
 
 from adaptdrive.app import loads, ports
 from adaptdrive.app.examine import advice
-from adaptdrive.app.settings import capacitor_limits, daemon_settings
+from adaptdrive.app.settings import daemon_settings
 from adaptdrive.config import Configuration
+from adaptdrive.config.root import DriveSection
 from adaptdrive.control.signals import Command
 from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.devices.bus import Row
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.accounts import WINDOW_S
-from adaptdrive.runtime.capacitor import CapacitorBalance, CapacitorLimits
+from adaptdrive.runtime.capacitor import CapacitorBalance
 from adaptdrive.runtime.plausibility import ResponseLimits
 from adaptdrive.runtime.settings import MachineLimits
 from adaptdrive.util.errors import ConfigurationError, escaped
@@ -26,48 +27,44 @@ _FOLLOWED_TICKS: Final = 240
 """Half cycles after which every report that fails has tripped."""
 
 
-def highest_voltages(
-    limits: CapacitorLimits, reference_V: float, load_W: float, tick_s: float
-) -> tuple[float, float]:
+def highest_voltages(drive: DriveSection, trip_V: float) -> tuple[float, float]:
     """Return the highest v_bst, in V, that a silent and a frozen report can lead to.
 
     Either begins at the highest V_c with the largest k on its way that is allowed there, and the
-    largest k is asked for from then on. The load stops as the report does. A report that is frozen
-    at rest is asked when the energy that it does not show could have led to the limit.
+    largest k is asked for from then on. The load stops as the report does; a silent drive seems to
+    take its power further on. A report that is frozen at rest is asked when the energy that it does
+    not show could have led to the limit.
 
     Args:
-        limits: The capacitor.
-        reference_V: Highest V_c.
-        load_W: Power of the load, which a silent drive seems to take further on.
-        tick_s: Half a line cycle.
+        drive: The drive.
+        trip_V: The limit.
     """
-    silent_V = _highest_V(limits, reference_V, (load_W, load_W), (0.0, tick_s))
-    frozen_V = _highest_V(limits, reference_V, (load_W, 0.0), (tick_s, tick_s))
-    return silent_V, max(frozen_V, limits.highest_V)
+    load_W, tick_s = drive.limits.load_power_max_W, drive.half_cycle_s
+    silent_V = _highest_V(drive, trip_V, (load_W, load_W), 0.0)
+    frozen_V = _highest_V(drive, trip_V, (load_W, 0.0), tick_s)
+    return silent_V, max(frozen_V, trip_V)
 
 
 def _highest_V(
-    limits: CapacitorLimits,
-    reference_V: float,
-    load_W: tuple[float, float],
-    steps_s: tuple[float, float],
+    drive: DriveSection, trip_V: float, load_W: tuple[float, float], step_s: float
 ) -> float:
     """Return the highest true v_bst of a drive on a line of 1 V, for which k is a power in W.
 
     Args:
-        limits: The capacitor.
-        reference_V: v_bst in all its reports.
+        drive: The drive.
+        trip_V: The limit.
         load_W: Reported power of the load before and after it stops.
-        steps_s: Time from a report of v_bst to the next after that, and length of a tick.
+        step_s: Time from a report of v_bst to the next after that.
     """
-    balance, (step_s, tick_s) = CapacitorBalance(limits), steps_s
-    asked = Command(limits.largest_W, reference_V, bridge=True)
+    balance, tick_s = CapacitorBalance(drive, trip_V), drive.half_cycle_s
+    reference_V = drive.limits.boost_reference_max_V
+    asked = Command(drive.largest_W, reference_V, bridge=True)
     coming_W, squared_V2, cause = 0.0, reference_V**2, None
     for tick in range(-1, _FOLLOWED_TICKS):
         time_s, power_W = tick * (tick_s if tick < 0 else step_s), load_W[tick >= 0]
         reading = Reading(time_s, time_s, None, reference_V, 1.0, power_W, 0.0, 0, bridge=True)
         cause = cause or balance.find_cause(reading, 1, tick_s, running=True)
-        squared_V2 += 2.0 * tick_s / limits.capacitance_F * coming_W
+        squared_V2 += 2.0 * tick_s / drive.boost_capacitance_F * coming_W
         coming_W = 0.0 if cause else balance.bound(asked).current_scale_S
         balance.sent(coming_W)
     return math.sqrt(squared_V2)
@@ -165,11 +162,9 @@ def _start(configuration: Configuration, machine: MachineLimits) -> Iterator[Fac
 
 def _capacitor(configuration: Configuration) -> Iterator[Fact]:
     """Yield the highest v_bst that a failing report can lead to."""
-    limits, drive = capacitor_limits(configuration), configuration.drive
-    if limits is None:
+    if configuration.voltage_loop.where == "drive":
         return
-    highest_V, load_W = drive.limits.boost_reference_max_V, drive.limits.load_power_max_W
-    found = highest_voltages(limits, highest_V, load_W, drive.half_cycle_s)
+    found = highest_voltages(configuration.drive, configuration.interlocks.boost_voltage_max_V)
     for report, voltage_V in zip(("silent", "frozen"), found, strict=True):
         keys = "drive.limits, drive.boost_capacitance_F, interlocks.boost_voltage_max_V"
         yield f"highest v_bst, its report {report}", f"{voltage_V:.0f} V", keys

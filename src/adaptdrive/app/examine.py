@@ -171,7 +171,7 @@ def _capacitor_flaws(configuration: Configuration) -> Iterator[Flaw]:
         return
     drive, place = configuration.drive, "drive.boost_capacitance_F"
     capacitance_F, limits, line_V = drive.boost_capacitance_F, drive.limits, drive.line_voltage_V
-    power_W = limits.current_scale_max_S * line_V * line_V
+    power_W = drive.largest_W
     rise_J = 0.5 * capacitance_F * (limits.boost_reference_min_V**2 - 2.0 * line_V * line_V)
     patience_s = configuration.interlocks.precharge_timeout_s
     if rise_J > power_W * patience_s:
@@ -264,9 +264,8 @@ def _power(configuration: Configuration) -> Iterator[Flaw]:
     """The drive has the power that the highest set-point takes."""
     drive = configuration.drive
     wanted_W = _highest_power_W(configuration)
-    line_W = drive.limits.current_scale_max_S * drive.line_voltage_V**2
-    if configuration.voltage_loop.where == "drive":  # it takes no k
-        line_W = math.inf
+    takes_k = configuration.voltage_loop.where == "daemon"
+    line_W = drive.largest_W if takes_k else math.inf
     given_W = min(drive.limits.load_power_max_W, line_W)
     if wanted_W > given_W:
         source = "load_power_max_W" if given_W < line_W else "current_scale_max_S"

@@ -10,7 +10,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration, consistency
 from adaptdrive.config.bus import CanBus, CanOpenBus
 from adaptdrive.config.load import ERROR_SHARE, FORGETTING, NOISE_SHARE, MotorSection
-from adaptdrive.control import signals, thresholds, voltage_loop
+from adaptdrive.control import thresholds, voltage_loop
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.discretise import KICK_SHARE, kick_factors
 from adaptdrive.control.loads.load import to_input
@@ -24,7 +24,7 @@ from adaptdrive.control.settings import (
 )
 from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.mqtt.contract import Output, Profile
-from adaptdrive.runtime import capacitor, frame_rate, plausibility
+from adaptdrive.runtime import frame_rate, plausibility
 from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings, Limits, MachineLimits
 
 # The interlocks that a configuration asks for: trip levels, and watches over the output.
@@ -44,18 +44,6 @@ def trip_limits(configuration: Configuration) -> Limits:
         given=configuration.drive.given,
         output_min=_output_min(configuration),
         absent=consistency.absent_names(configuration),
-    )
-
-
-def capacitor_limits(configuration: Configuration) -> capacitor.CapacitorLimits | None:
-    """Return the boost capacitor that the daemon charges, None where the drive does by itself."""
-    drive = configuration.drive
-    if configuration.voltage_loop.where == "drive":
-        return None
-    return capacitor.CapacitorLimits(
-        capacitance_F=drive.boost_capacitance_F,
-        highest_V=configuration.interlocks.boost_voltage_max_V,
-        largest_W=drive.limits.current_scale_max_S * drive.line_voltage_V**2,
     )
 
 
@@ -90,6 +78,9 @@ _OPEN = thresholds.UNKNOWN * thresholds.UNKNOWN / thresholds.NOISE_FLOOR
 
 PAPER_COVARIANCE = 1.0e4
 """P[0] of the paper."""
+
+_SHORTEST_WAVE_PERIODS = 4
+"""Shortest period of a waveform, in slow periods: two samples for each half."""
 
 
 def controller_settings(configuration: Configuration) -> ControllerSettings:
@@ -258,6 +249,7 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
         drive=drive,
         pole_min=pole_min,
         pole_max=pole_max,
+        period_min_s=_SHORTEST_WAVE_PERIODS * load.period_s,
         starting_ticks=round(patience_s / drive.half_cycle_s),
         rate_s=max(patience_s, verdict_ticks * drive.half_cycle_s),
         reach=nominal_reach(model, settings.stage),
@@ -274,7 +266,7 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         watches=watches(configuration),
         drive=configuration.drive,
         timing=configuration.timing,
-        capacitor=capacitor_limits(configuration),
+        charges_capacitor=configuration.voltage_loop.where == "daemon",
     )
 
 
@@ -316,6 +308,5 @@ def operator_profile(configuration: Configuration) -> Profile:
             "boost_trip_V": (None, trips.boost_voltage_max_V),
             "power_W": (None, drive.load_power_max_W),
         },
-        modes=tuple(signals.Mode),
         version=__version__,
     )

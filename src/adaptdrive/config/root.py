@@ -99,6 +99,11 @@ class DriveSection(section.Section):
         limits = self.limits
         return -(limits.regeneration_scale_max_S or limits.current_scale_max_S)
 
+    @property
+    def largest_W(self) -> float:
+        """Largest power that the line is commanded to give."""
+        return self.limits.current_scale_max_S * self.line_voltage_V**2
+
     def flaws(self) -> Iterator[Flaw]:
         """Yield a name with too many rights, and a limit of another kind of drive."""
         if self.name.lower() in BROKER_USERS:

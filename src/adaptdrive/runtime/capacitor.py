@@ -22,9 +22,10 @@ A command that was computed from frame n acts from frame n+1 to n+2. Three rules
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
+from adaptdrive.config.root import DriveSection
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.port import Reading
 
@@ -62,31 +63,19 @@ _CYCLE_TICKS: Final = 3
 """Longest cycle of a report of v_bst; a slower one cannot close the voltage loop."""
 
 
-@dataclass(frozen=True, slots=True)
-class CapacitorLimits:
-    """The boost capacitor and the limit of its voltage.
-
-    Attributes:
-        capacitance_F: C.
-        highest_V: Voltage that trips.
-        largest_W: Largest power that the line is commanded to give.
-    """
-
-    capacitance_F: float
-    highest_V: float
-    largest_W: float
-
-
 class CapacitorBalance:
     """Predicts v_bst from the commanded energy, and holds k to what a fresh report allows."""
 
-    def __init__(self, limits: CapacitorLimits) -> None:
+    def __init__(self, drive: DriveSection, highest_V: float) -> None:
         """Begin without a report.
 
         Args:
-            limits: The capacitor.
+            drive: Its capacitor.
+            highest_V: Voltage that trips.
         """
-        self._limits = limits
+        self._capacitance_F = drive.boost_capacitance_F
+        self._largest_W = drive.largest_W
+        self._highest_V = highest_V
         self.forget()
 
     def forget(self) -> None:
@@ -121,7 +110,7 @@ class CapacitorBalance:
             running: Whether the drive runs; while it starts, it may not charge yet.
         """
         self._runs = running
-        self._per_W = 2.0 * tick_s / self._limits.capacitance_F
+        self._per_W = 2.0 * tick_s / self._capacitance_F
         self._line_V2 = reading.line_voltage_V * reading.line_voltage_V
         self._load_W = reading.load_power_W
         late_S, self._next_S = self._next_S, self._last_S
@@ -151,7 +140,7 @@ class CapacitorBalance:
         is_asked = not math.isnan(self._asked_V2)
         is_confirmed = self._silent_ticks < self._cycle_ticks and not is_asked
         base_V2 = self._predicted_V2 if is_confirmed else self._worst_V2
-        room_W = (self._limits.highest_V**2 - base_V2) / self._per_W - self._next_S * self._line_V2
+        room_W = (self._highest_V**2 - base_V2) / self._per_W - self._next_S * self._line_V2
         fed_W = self._asked_W() if is_asked else self._load_W
         highest_W = room_W + 2.0 * self._load_W if is_confirmed else min(fed_W, room_W)
         highest_S = max(0.0, highest_W) / self._line_V2
@@ -172,7 +161,7 @@ class CapacitorBalance:
     def _standing_room_V2(self) -> float:
         """Return the rise up to the limit that is left if the report stands still wrongly."""
         gone_V2 = self._reported_V2 + self._stood_V2 + self._coming_V2()
-        return max(0.0, self._limits.highest_V**2 - gone_V2)
+        return max(0.0, self._highest_V**2 - gone_V2)
 
     def _coming_V2(self) -> float:
         """Return the rise by the command on its way."""
@@ -187,7 +176,7 @@ class CapacitorBalance:
 
     def _unexplained_W(self, acting_W: float) -> float:
         """Return the power that must raise v_bst, losses of the drive left out."""
-        lost_W = _LOST_SHARE * abs(acting_W) + _LOST_OF_MAXIMUM * self._limits.largest_W
+        lost_W = _LOST_SHARE * abs(acting_W) + _LOST_OF_MAXIMUM * self._largest_W
         return acting_W - self._load_W - lost_W
 
     def _compare(self, reading: Reading) -> None:
@@ -198,7 +187,7 @@ class CapacitorBalance:
         if self._reported_V2 != before_V2:
             self._stood_V2 = 0.0
         unseen_V = math.sqrt(self._reported_V2 + self._unseen_V2) - math.sqrt(self._reported_V2)
-        asks = unseen_V > _UNSEEN_SHARE * self._limits.highest_V or not self._standing_room_V2()
+        asks = unseen_V > _UNSEEN_SHARE * self._highest_V or not self._standing_room_V2()
         if asks and math.isnan(self._asked_V2):
             self._asked_V2, self._asked_ticks, self._fall_V2 = self._reported_V2, 0, 0.0
 
@@ -213,7 +202,7 @@ class CapacitorBalance:
         else:
             moved = self._reported_V2 > self._asked_V2
             self._asked_V2 = self._reported_V2
-        visible_V2 = 2.0 * _VISIBLE_SHARE * self._limits.highest_V * math.sqrt(self._asked_V2)
+        visible_V2 = 2.0 * _VISIBLE_SHARE * self._highest_V * math.sqrt(self._asked_V2)
         patience = _ASKED_TICKS if self._fall_V2 > visible_V2 else _PATIENCE_TICKS
         if moved:
             self._asked_V2, self._unseen_V2 = math.nan, 0.0
@@ -228,11 +217,11 @@ class CapacitorBalance:
     def _exceeded(self) -> str | None:
         """Return the cause of a trip where the command on its way leads beyond the limit."""
         coming_V = math.sqrt(max(0.0, self._predicted_V2 + self._coming_V2()))
-        if coming_V <= self._limits.highest_V:
+        if coming_V <= self._highest_V:
             return None
         return (
             f"over-voltage: v_bst is predicted to reach {coming_V:.1f} V, limit "
-            f"{self._limits.highest_V:g} V: it was not reported for {self._silent_ticks} half "
+            f"{self._highest_V:g} V: it was not reported for {self._silent_ticks} half "
             "cycles while the capacitor was charged"
         )
 

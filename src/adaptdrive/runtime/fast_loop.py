@@ -108,8 +108,9 @@ class FastLoop:
             port.counter_modulus, timing.half_cycle_s, self._stride, timing.stale_s
         )
         self.guard = interlocks.Guard(settings.drive)
-        capacitor = settings.capacitor
-        self._capacitor = None if capacitor is None else CapacitorBalance(capacitor)
+        highest_V = settings.limits.boost_voltage_max_V
+        charges = settings.charges_capacitor
+        self._capacitor = CapacitorBalance(settings.drive, highest_V) if charges else None
         self._assumes_voltage = "boost_voltage_V" in settings.limits.absent
         self._surroundings = surroundings
         self._interlocks = interlocks.InterlockBoard(settings, port, self._half_cycles)

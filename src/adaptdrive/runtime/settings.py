@@ -12,7 +12,6 @@ from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
 from adaptdrive.runtime import plausibility, reports
-from adaptdrive.runtime.capacitor import CapacitorLimits
 from adaptdrive.util.errors import RefusedError
 from adaptdrive.util.quantity import BOOST, Given
 
@@ -63,9 +62,6 @@ class ManualVoltage:
 _LONGEST_HOLD_S = 86_400.0
 """A day, as for the times of supervision in the configuration; None is no limit at all."""
 
-_SHORTEST_WAVE_PERIODS = 4
-"""Shortest period of a waveform, in slow periods: two samples for each half."""
-
 FLOOR_REACHED = 0.99
 """Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""
 
@@ -92,6 +88,7 @@ class MachineLimits:
         drive: Its V_c.
         pole_min: Fastest pole whose fixed gains stand an error of the model.
         pole_max: Slowest such pole.
+        period_min_s: Shortest period of a waveform.
         starting_ticks: Longest precharge, in fast ticks.
         rate_s: Longest wait for a known rate of the half cycles before it.
         reach: What V_c can hold by the nominal model.
@@ -101,6 +98,7 @@ class MachineLimits:
     drive: DriveSection
     pole_min: float
     pole_max: float
+    period_min_s: float
     starting_ticks: int
     rate_s: float
     reach: Reach = UNKNOWN
@@ -109,11 +107,6 @@ class MachineLimits:
     def floor_V(self) -> float:
         """Boost voltage at which starting ends, and lowest V_c."""
         return self.drive.limits.boost_reference_min_V
-
-    @property
-    def period_min_s(self) -> float:
-        """Shortest period of a waveform."""
-        return _SHORTEST_WAVE_PERIODS * self.load.period_s
 
     @property
     def rest_V(self) -> float:
@@ -236,7 +229,7 @@ class FastLoopSettings:
         latency_ticks: L, ticks from a snapshot to the effect of its decision.
         watches: Factories of the watches over the output, in the order of their causes.
         drive_clocks: Whether the drive decides when a reading comes.
-        capacitor: The boost capacitor that this process charges, None where the drive does.
+        charges_capacitor: Whether this process charges the boost capacitor, and not the drive.
     """
 
     limits: Limits
@@ -245,7 +238,7 @@ class FastLoopSettings:
     latency_ticks: int
     watches: tuple[Callable[[], plausibility.Watch], ...] = ()
     drive_clocks: bool = True
-    capacitor: CapacitorLimits | None = None
+    charges_capacitor: bool = False
 
 
 @dataclass(frozen=True, slots=True)

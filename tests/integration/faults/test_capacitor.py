@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.app.check_report import highest_voltages
-from adaptdrive.app.settings import capacitor_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import State
@@ -20,9 +19,7 @@ LIMIT_V = 430.0
 
 def stated() -> tuple[float, float]:
     """What `check` states for a silent and a frozen report, in V."""
-    limits = capacitor_limits(load_configuration(example_path("motor, CAN")))
-    assert limits is not None
-    return highest_voltages(limits, 400.0, 1500.0, 0.5 / 60.0)
+    return highest_voltages(load_configuration(example_path("motor, CAN")).drive, LIMIT_V)
 
 
 def rising(stale_s: float, capacitance_F: float = 1.0e-3) -> Course:

@@ -36,7 +36,7 @@ from tests.loopback_port import LoopbackPort
 
 MOTOR = load_configuration(Path(__file__).parents[3] / "deploy" / "examples" / "motor.toml")
 SETTINGS: DaemonSettings = daemon_settings(MOTOR)
-FAST: FastLoopSettings = replace(SETTINGS.fast, capacitor=None)  # v_bst is scripted
+FAST: FastLoopSettings = replace(SETTINGS.fast, charges_capacitor=False)  # v_bst is scripted
 TICK_S = FAST.timing.half_cycle_s
 Q = MOTOR.ticks_per_period
 LATENCY = FAST.latency_ticks

@@ -40,6 +40,7 @@ LIMITS = MachineLimits(
     drive=DRIVE,
     pole_min=0.5,
     pole_max=0.98,
+    period_min_s=4.0,
     starting_ticks=600,
     rate_s=5.0,
     reach=Reach(-9.0, 9.0),
