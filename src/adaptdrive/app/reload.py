@@ -188,7 +188,7 @@ async def log_events(events: reports.Subscription, kept: reports.Keep) -> None:
         events: Subscription to events.
         kept: Waits until they are recorded.
     """
-    taken: Iterable[reports.Report] = ()
+    taken: Iterable[reports.Event] = ()
     try:
         while True:
             taken = await events.take()
@@ -200,7 +200,6 @@ async def log_events(events: reports.Subscription, kept: reports.Keep) -> None:
         _log(events.drain())
 
 
-def _log(events: Iterable[reports.Report]) -> None:
+def _log(events: Iterable[reports.Event]) -> None:
     for event in events:
-        if isinstance(event, reports.Event):
-            log.log(_LEVELS[event.severity], event.detail, kind=event.kind, tick=event.tick)
+        log.log(_LEVELS[event.severity], event.detail, kind=event.kind, tick=event.tick)

@@ -17,10 +17,33 @@ import msgspec
 from adaptdrive.recording import journal_files, records, session
 from adaptdrive.recording.writer import NOTES, ROWS, SYNC, LogStatus, LogWriter
 
-# The log of a drive: what happened is appended once, and everything else is read from it.
+# Settings of the recorder: intervals, and what may wait.
 
-LARGEST_BACKLOG_BYTES = 4 << 20
-"""Rows that wait for a disk that hangs: about 200 s at 120 Hz."""
+
+@dataclass(frozen=True, slots=True)
+class RecordingPace:
+    """Intervals and time-outs of the recorder's writes.
+
+    Attributes:
+        flush_s: Longest time that ticks stay in the control process.
+        backlog_bytes: Bytes of rows that may wait to be written; then the oldest are dropped.
+            About 200 s at 120 Hz.
+        close_s: Longest time that the end of the recording takes, in two parts: the log, and the
+            archiver.
+        trip_s: Time after a trip that belongs to its record.
+        keep_s: Longest time that an event waits for its record before it is published.
+        start_thread: What a thread that writes does first.
+    """
+
+    flush_s: float = 0.25
+    backlog_bytes: int = 4 << 20
+    close_s: float = 8.0
+    trip_s: float = 10.0
+    keep_s: float = 0.2
+    start_thread: Callable[[], None] = lambda: None
+
+
+# The log of a drive: what happened is appended once, and everything else is read from it.
 
 Clock = Callable[[], tuple[float, float]]
 """Returns monotonic and wall time, in seconds."""
@@ -42,11 +65,10 @@ class Log:
         header: records.Header,
         recalled: journal_files.Recalled,
         clock: Clock,
+        pace: RecordingPace,
         *,
         on_status: Callable[[LogStatus], None],
         begin_rows: Callable[[], None] = lambda: None,
-        start_thread: Callable[[], None] = lambda: None,
-        backlog_bytes: int = LARGEST_BACKLOG_BYTES,
     ) -> None:
         """Touch nothing yet.
 
@@ -55,19 +77,18 @@ class Log:
             header: The session.
             recalled: What an earlier run has left.
             clock: Clocks of the records.
+            pace: What may wait, and what a thread does first.
             on_status: Takes reports of the threads, in the event loop.
             begin_rows: Prepares for rows, in a thread; may raise `OSError`, and is called again.
-            start_thread: What a thread does first.
-            backlog_bytes: Rows that may wait.
         """
         self.dropped = session.Dropped()
         self.closed = False
         self.problems = {NOTES: "", ROWS: "", SYNC: ""}
         self._clock = clock
         self._on_status = on_status
-        self._backlog_bytes = backlog_bytes
+        self._backlog_bytes = pace.backlog_bytes
         self._writer = LogWriter(
-            folder, header, recalled, clock, self._notify, begin_rows, start_thread
+            folder, header, recalled, clock, self._notify, begin_rows, pace.start_thread
         )
         self._loop: asyncio.AbstractEventLoop | None = None
         self._notes = self._synced = self._rows_bytes = 0
@@ -197,32 +218,7 @@ class Log:
         self._on_status(status)
 
 
-# Settings of the recorder: folders and intervals.
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingPace:
-    """Intervals and time-outs of the recorder's writes.
-
-    Attributes:
-        flush_s: Longest time that ticks stay in the control process.
-        backlog_bytes: Bytes of rows that may wait to be written; then the oldest are dropped.
-        close_s: Longest time that the end of the recording takes, in two parts: the log, and the
-            archiver.
-        trip_s: Time after a trip that belongs to its record.
-        keep_s: Longest time that an event waits for its record before it is published.
-        start_thread: What a thread that writes does first.
-    """
-
-    flush_s: float = 0.25
-    backlog_bytes: int = LARGEST_BACKLOG_BYTES
-    close_s: float = 8.0
-    trip_s: float = 10.0
-    keep_s: float = 0.2
-    start_thread: Callable[[], None] = lambda: None
-
-
-DEFAULT_PACE = RecordingPace()
+# Folders of a session, each seen from the other.
 
 
 def with_folders(header: records.Header, log: Path, sessions: Path | None) -> records.Header:

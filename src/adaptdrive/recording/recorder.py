@@ -164,7 +164,7 @@ class Recorder:
         header: records.Header,
         hub: reports.Hub,
         clock: journal.Clock,
-        pace: journal.RecordingPace = journal.DEFAULT_PACE,
+        pace: journal.RecordingPace = journal.RecordingPace(),  # noqa: B008 - frozen
         recalled: journal_files.Recalled = journal_files.Recalled(),  # noqa: B008 - frozen
     ) -> None:
         """Prepare to record.
@@ -196,10 +196,9 @@ class Recorder:
             header,
             recalled,
             clock,
+            pace,
             on_status=self._on_status,
             begin_rows=self._archiving.make_session,
-            start_thread=pace.start_thread,
-            backlog_bytes=pace.backlog_bytes,
         )
         self._begun = False
         self._waiting: deque[reports.TickReport] = deque()
@@ -278,15 +277,14 @@ class Recorder:
                 await self._gather()
                 self._count()
 
-    def _note(self, noted: Iterable[reports.Report]) -> None:
+    def _note(self, noted: Iterable[reports.Event | reports.CommandReport]) -> None:
         now_s, wall_s = self._clock()
         utc = datetime.fromtimestamp(wall_s, UTC)
         for report in noted:
-            if isinstance(report, reports.Event | reports.CommandReport):
-                row = records.note_row(report, utc, now_s, next(self._numbers))
-                is_event = isinstance(report, reports.Event)
-                kind = records.Kind.EVENT if is_event else records.Kind.COMMAND
-                self._log.append(kind, msgspec.msgpack.encode(row))
+            is_event = isinstance(report, reports.Event)
+            kind = records.Kind.EVENT if is_event else records.Kind.COMMAND
+            row = records.note_row(report, utc, now_s, next(self._numbers))
+            self._log.append(kind, msgspec.msgpack.encode(row))
             if isinstance(report, reports.Event) and report.kind == journal_files.TRIP:
                 self._archiving.due(self._pace.trip_s + 0.1)  # once its record is complete
 
@@ -296,17 +294,10 @@ class Recorder:
             for queue in (self._slow, self._sensors, self._ticks):
                 queue.drain()
             return
-        slow = [
-            records.slow_row(r) for r in self._slow.drain() if isinstance(r, reports.LoadReport)
-        ]
-        self._append_rows(records.Kind.SLOW, slow)
-        sensors = (
-            records.sensor_row(r)
-            for r in self._sensors.drain()
-            if isinstance(r, reports.SensorSample | reports.DriveReport)
-        )
+        self._append_rows(records.Kind.SLOW, [*map(records.slow_row, self._slow.drain())])
+        sensors = map(records.sensor_row, self._sensors.drain())
         self._append_rows(records.Kind.SENSORS, [row for row in sensors if len(row) > 1])
-        self._waiting += (r for r in self._ticks.drain() if isinstance(r, reports.TickReport))
+        self._waiting += self._ticks.drain()
         while self._waiting:
             ticks = [self._waiting.popleft() for _ in range(min(_SLICE, len(self._waiting)))]
             self._last_tick = ticks[-1].measurement.tick

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Annotated, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
 from adaptdrive.control import signals
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
@@ -352,8 +352,8 @@ class Queue(Generic[T]):
             self._filled.clear()
 
 
-Subscription = Queue[Report]
-"""One subscriber's queue."""
+Subscription = Queue[Any]
+"""One subscriber's queue, with reports of the kinds that it asks for."""
 
 Keep = Callable[[], Awaitable[None]]
 """Waits until all that was published is in a file, for a short bounded time at most."""

@@ -13,7 +13,7 @@ import msgspec
 import pytest
 
 from adaptdrive.recording import writer
-from adaptdrive.recording.journal import Log
+from adaptdrive.recording.journal import Log, RecordingPace
 from adaptdrive.recording.journal_files import is_live, log_files, recall, records
 from adaptdrive.recording.records import EventRow, Header, Kind
 from adaptdrive.recording.session import Dropped
@@ -38,8 +38,8 @@ class Bench:
             header,
             recall(folder, INFO.started),
             lambda: (self.now_s, 1.7e9),
+            RecordingPace(backlog_bytes=backlog_bytes),
             on_status=self.outcomes.append,
-            backlog_bytes=backlog_bytes,
         )
         self.log.start()
         self.log.let_rows_in()
