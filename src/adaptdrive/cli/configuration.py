@@ -12,6 +12,8 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from adaptdrive.app import starter
+from adaptdrive.app.check_report import flawed_report, sound_report, tables
+from adaptdrive.app.examine import advice, examine_text, load_examined
 from adaptdrive.cli import UNUSABLE
 from adaptdrive.cli.options import Flag, Json, print_json
 from adaptdrive.config import Configuration
@@ -20,7 +22,7 @@ from adaptdrive.config.file import find_flaws, read_text
 from adaptdrive.config.load import LoadName
 from adaptdrive.config.root import DriveSection
 from adaptdrive.devices import description
-from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError
 from adaptdrive.util.files import replace_regular
 
 _SHOWN = 3
@@ -64,7 +66,9 @@ def init(  # noqa: PLR0913 - one parameter for each option
     drive = load if name is None else _refuse_misnamed(name)
     if device is not None:
         own = dbc or eds
-        _refuse_two(bus, dbc and eds)
+        if bus is not None or (dbc and eds):
+            flaw = "describes the bus: leave --bus out, and one of --dbc and --eds"
+            raise ConfigurationError.of("init", "--device", flaw)
         text, files = starter.of_device(
             load, device, drive, _place(own, directory) if own else None
         )
@@ -75,16 +79,18 @@ def init(  # noqa: PLR0913 - one parameter for each option
     if sys.stdin.isatty() and not yes:
         text = starter.answered(text, _values(text))
     path = _write((text, files), directory, drive)
-    return _name_next_steps(path, _check(path))
+    return _name_next_steps(path)
 
 
-def _name_next_steps(path: Path, problem: str) -> int:
+def _name_next_steps(path: Path) -> int:
     """Print the next commands, or what is to be filled in; return the exit status."""
     print(f"wrote {path}")
     file = shlex.quote(str(path))
-    if problem:
+    try:
+        load_examined(path)
+    except ConfigurationError as problem:
         print(f"\nfill in, then run `adaptdrive check {file}`:\n{problem}")
-        return 2
+        return UNUSABLE
     print(
         f"\nnext:\n  adaptdrive check {file}    # after each change\n"
         f"  adaptdrive probe {file}    # show what the drive sends; command nothing\n"
@@ -94,24 +100,17 @@ def _name_next_steps(path: Path, problem: str) -> int:
     return 0
 
 
-def _refuse_two(*given: object) -> None:
-    if any(one is not None for one in given):
-        flaw = Flaw("--device", "describes the bus: leave --bus out, and one of --dbc and --eds")
-        raise ConfigurationError("init", [flaw])
-
-
 def _refuse_misfits(
     bus: starter.BusName | None, dbc: Path | None, eds: Path | None
 ) -> starter.BusName:
     """Return the kind of bus; refuse a missing one, and a file that describes another."""
     if bus is None:
-        flaw = Flaw("--bus", f"is missing, or --device: one of {', '.join(starter.device_names())}")
-        raise ConfigurationError("init", [flaw])
+        devices = ", ".join(starter.device_names())
+        raise ConfigurationError.of("init", "--bus", f"is missing, or --device: one of {devices}")
     if dbc is not None and bus != "can":
-        raise ConfigurationError("--dbc", [Flaw(str(dbc), f"describes a drive on can, not {bus}")])
+        raise ConfigurationError.of("--dbc", str(dbc), f"describes a drive on can, not {bus}")
     if eds is not None and bus != "canopen":
-        flaw = Flaw(str(eds), f"describes a drive on canopen, not {bus}")
-        raise ConfigurationError("--eds", [flaw])
+        raise ConfigurationError.of("--eds", str(eds), f"describes a drive on canopen, not {bus}")
     return bus
 
 
@@ -120,8 +119,8 @@ def _refuse_misnamed(name: str) -> str:
     try:
         return DriveSection(name=name).name
     except ValidationError as problem:
-        flaw = Flaw("name", f"{name!r}: {problem.errors()[0]['msg']}")
-        raise ConfigurationError("--name", [flaw]) from problem
+        flaw = f"{name!r}: {problem.errors()[0]['msg']}"
+        raise ConfigurationError.of("--name", "name", flaw) from problem
 
 
 def _described(
@@ -188,8 +187,8 @@ def _proposed(
     proposed = description.propose(wanted, known)
     if ask is None and description.is_doubtful(wanted, proposed):
         first, second = (one.reference for one in proposed[:2])
-        flaw = Flaw(quantity, f"{first} or {second}? leave out --yes, and choose")
-        raise ConfigurationError("init", [flaw])
+        flaw = f"{first} or {second}? leave out --yes, and choose"
+        raise ConfigurationError.of("init", quantity, flaw)
     return proposed
 
 
@@ -247,8 +246,8 @@ def _answer(question: str, quantity: str) -> str:
         return input(question).strip()
     except EOFError as problem:
         print()
-        flaw = Flaw(quantity, "the input ended before an answer; nothing is written")
-        raise ConfigurationError("init", [flaw]) from problem
+        flaw = "the input ended before an answer; nothing is written"
+        raise ConfigurationError.of("init", quantity, flaw) from problem
 
 
 def _write(first: starter.Starter, directory: Path, drive: str) -> Path:
@@ -259,24 +258,12 @@ def _write(first: starter.Starter, directory: Path, drive: str) -> Path:
         directory.mkdir(parents=True, exist_ok=True)
         for file, content in files.items():
             if os.path.lexists(file) and (file == path or file.read_bytes() != content):
-                flaw = Flaw("init", "the file exists and is not replaced")
-                raise ConfigurationError(file, [flaw])
+                raise ConfigurationError.of(file, "init", "the file exists and is not replaced")
         for file, content in files.items():
             replace_regular(file, content)
     except (OSError, UnicodeError) as problem:
-        raise ConfigurationError(directory, [Flaw("init", str(problem))]) from problem
+        raise ConfigurationError.of(directory, "init", str(problem)) from problem
     return path
-
-
-def _check(path: Path) -> str:
-    """Return what `check` has against a configuration, an empty string for nothing."""
-    from adaptdrive.app.examine import load_examined  # noqa: PLC0415 - as in `check`
-
-    try:
-        load_examined(path)
-    except ConfigurationError as problem:
-        return str(problem)
-    return ""
 
 
 # Commands that read a configuration and nothing else.
@@ -297,9 +284,7 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     """
     if as_json:
         return _check_for_programs(config)
-    from adaptdrive.app.check_report import tables  # noqa: PLC0415 - `schema` needs no bus
-    from adaptdrive.app.examine import examine_text  # noqa: PLC0415
-    from adaptdrive.devices.can.bus import missing_here  # noqa: PLC0415
+    from adaptdrive.devices.can.bus import missing_here  # noqa: PLC0415 - `schema` needs no bus
 
     text = read_text(config)
     left = [f"{key} = {value}" for key, value in starter.examples(text)]
@@ -325,8 +310,6 @@ def _warn(config: Path, text: object) -> None:
 
 def _advise(config: Path, text: str) -> None:
     """Print the warnings, also where values that contradict each other are refused after them."""
-    from adaptdrive.app.examine import advice  # noqa: PLC0415
-
     configuration, _, flaws = find_flaws(text, config)
     if not flaws:
         with suppress(ConfigurationError):  # of a DBC, EDS or register map: refused later
@@ -335,9 +318,6 @@ def _advise(config: Path, text: str) -> None:
 
 
 def _check_for_programs(config: Path) -> int:
-    from adaptdrive.app.check_report import flawed_report, sound_report  # noqa: PLC0415
-    from adaptdrive.app.examine import load_examined  # noqa: PLC0415
-
     try:
         report = sound_report(load_examined(config), config)
     except ConfigurationError as problem:

@@ -29,9 +29,10 @@ from cyclopts import Parameter, validators
 from adaptdrive import processes
 from adaptdrive.cli.options import Contact, Flag, Integer
 from adaptdrive.config import Configuration
-from adaptdrive.tui.terminal import ended_once, print_last
+from adaptdrive.recording import session
+from adaptdrive.tui.terminal import ended_once, print_last, refuse_dumb_terminal
 from adaptdrive.util.clock import in_thread
-from adaptdrive.util.errors import AdaptdriveError, ConfigurationError, Flaw, first_error
+from adaptdrive.util.errors import AdaptdriveError, ConfigurationError, RecordingError, first_error
 
 # `adaptdrive start`: one drive on a desk, with all that it needs, in one terminal.
 
@@ -62,12 +63,11 @@ def start(
         contact: Login at the broker.
     """
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415 - it is large
-    from adaptdrive.tui.terminal import refuse_dumb_terminal  # noqa: PLC0415 - as above
 
     path = _only_configuration() if config is None else config
     configuration = load_examined(path)
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise ConfigurationError("start", [Flaw("terminal", "is needed; elsewhere use run")])
+        raise ConfigurationError.of("start", "terminal", "is needed; elsewhere use run")
     refuse_dumb_terminal()
     desk = _Desk(path, configuration, replace(contact or Contact(), config=path))
     with asyncio.Runner() as runner, _closed(runner, desk):
@@ -106,8 +106,8 @@ def _only_configuration() -> Path:
     found = sorted(Path().glob("*.toml"))
     if len(found) != 1:
         names = ", ".join(map(str, found)) or "none"
-        flaw = Flaw("start", f"name a configuration; this folder has {names}")
-        raise ConfigurationError("adaptdrive", [flaw])
+        flaw = f"name a configuration; this folder has {names}"
+        raise ConfigurationError.of("adaptdrive", "start", flaw)
     return found[0]
 
 
@@ -169,12 +169,9 @@ class _Desk:
                 asked.set()
             return key == COMMISSION_KEY
 
-        async def until_asked() -> None:
-            await asked.wait()
-
         keys = (*KEYS[:-1], f"{COMMISSION_KEY} commission", KEYS[-1])
         around = ViewExtras(keys, faint(self._printed), takes=takes)
-        services = [self._processes.watch(), until_asked()]
+        services = [self._processes.watch(), asked.wait()]
         settings, timeout_s = self._contact.settings, self._contact.timeout
         await watch(settings, self._drive, timeout_s, around, services)
         return asked.is_set()
@@ -376,16 +373,8 @@ def last_report(drive: str) -> bytes:
 
 
 def _last_session(drive: str) -> Path:
-    from adaptdrive.recording.session import (  # noqa: PLC0415
-        NO_SESSION,
-        read_info,
-        session_directories,
-        sessions_directory,
-    )
-    from adaptdrive.util.errors import RecordingError  # noqa: PLC0415 - `--help` reads no recordings
-
-    sessions = sessions_directory(None, os.environ)
-    for path in reversed(list(session_directories(sessions))):
-        if read_info(path).drive == drive:
+    sessions = session.sessions_directory(None, os.environ)
+    for path in reversed(list(session.session_directories(sessions))):
+        if session.read_info(path).drive == drive:
             return path
-    raise RecordingError(sessions, NO_SESSION)
+    raise RecordingError(sessions, session.NO_SESSION)

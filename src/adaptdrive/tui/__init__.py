@@ -31,7 +31,7 @@ async def watch(
     drive: str,
     timeout_s: float,
     around: view.ViewExtras = view.WATCH,
-    services: Iterable[Coroutine[Any, Any, None]] = (),
+    services: Iterable[Coroutine[Any, Any, object]] = (),
 ) -> bool:
     """Show a drive until `q` is pressed or a signal comes; a stop under way is waited for.
 
@@ -57,7 +57,7 @@ async def watch(
 async def run_view(
     record: WatchRecord,
     ask: Ask,
-    services: Iterable[Coroutine[Any, Any, None]],
+    services: Iterable[Coroutine[Any, Any, object]],
     show: Show | None,
     takes: view.Takes,
 ) -> bool:

@@ -26,7 +26,7 @@ from rich.live import Live
 from adaptdrive.mqtt.commands import STOP, number, part
 from adaptdrive.tui.record import WatchRecord
 from adaptdrive.util.clock import in_thread
-from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError
 
 # The end of a view that commands a drive: once it is asked for, nothing cuts it short.
 
@@ -120,8 +120,8 @@ def refuse_dumb_terminal() -> None:
         ConfigurationError: The environment names such a terminal.
     """
     if Console(force_terminal=True).is_dumb_terminal:
-        flaw = Flaw(os.environ["TERM"], "a terminal of this kind shows no picture")
-        raise ConfigurationError("TERM", [flaw])
+        kind = os.environ["TERM"]
+        raise ConfigurationError.of("TERM", kind, "a terminal of this kind shows no picture")
 
 
 async def draw(screen_of: Callable[[tuple[int, int]], Layout]) -> NoReturn:

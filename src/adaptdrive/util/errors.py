@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import msgspec
 
@@ -50,6 +50,11 @@ class ConfigurationError(AdaptdriveError):
         self.source = source
         self.flaws = tuple(flaws)
         super().__init__("\n".join(f"{source}: {flaw}" for flaw in self.flaws))
+
+    @classmethod
+    def of(cls, source: Path | str, place: str, message: str) -> Self:
+        """Return the error of one flaw."""
+        return cls(source, [Flaw(place, message)])
 
 
 class BusError(AdaptdriveError):
