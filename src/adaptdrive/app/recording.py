@@ -279,7 +279,7 @@ def place_of(configuration: Configuration) -> tuple[Path, Path | None]:
     recording = configuration.recording
     state = _absolute(state_directory())
     sessions = _sessions(recording.directory) if recording.enabled else None
-    return journal_files.log_folder(state, configuration.drive.name), sessions
+    return state / f"{configuration.drive.name}.log", sessions
 
 
 def state_directory() -> Path:

@@ -11,7 +11,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain, groupby
 from pathlib import Path
@@ -31,42 +31,25 @@ _BEFORE_S = 60.0
 """Time before a trip that its record begins."""
 
 
-def write_trips(
-    directory: Path, info: session.SessionInfo, due_s: float, after_s: float
+def _write_trips(
+    directory: Path, header: records.Header, due_s: float, after_s: float
 ) -> list[Path]:
-    """Write the record of each trip of a session that has none yet.
-
-    Args:
-        directory: Directory of the session.
-        info: What was known about it before its first tick.
-        due_s: Time of the last trip whose record is due, monotonic.
-        after_s: Time after a trip that belongs to its record.
-
-    Returns:
-        Folders of the records.
-
-    Raises:
-        RecordingError: The session is damaged.
-        OSError: A record cannot be written.
-    """
-    recorded = reader.read_session(directory)
-    info = msgspec.structs.replace(info, ended=session.Ending.ORDERLY, log="")
-    recent = {
-        table: segments.segments(directory, recorded.info, table)[-2:]
-        for table in (*session.TABLES, *session.NOTES)
-    }
-    begin_s = _first(recent[session.TableName.TICKS], MONOTONIC)
-    recorded = replace(recorded, info=info)
-    return [
-        _write(recorded, recent, trip, path, after_s)
-        for trip in recorded.events
-        if trip.kind == journal_files.TRIP and begin_s <= trip.monotonic_s <= due_s
-        if not (path := _path(directory, trip)).exists()
-    ]
-
-
-def _path(directory: Path, trip: records.EventRow) -> Path:
-    return directory / f"{session.TRIP_PREFIX}{session.time_in_name(trip.time)}-{trip.number}"
+    """Write the record of each trip of a session that has none yet, up to one that is due."""
+    found = segments.segments(directory, session.read_info(directory))
+    recent = {table: [one for one in found if one.table == table][-2:] for table in segments.KINDS}
+    events = segments.read_notes(found, session.TableName.EVENTS, [])
+    info = msgspec.structs.replace(header.info, ended=session.Ending.ORDERLY, log="")
+    header = msgspec.structs.replace(header, info=info)
+    begin_s, written = _first(recent[session.TableName.TICKS], MONOTONIC), []
+    for trip in events:
+        name = f"{session.TRIP_PREFIX}{session.time_in_name(trip.time)}-{trip.number}"
+        is_due = trip.kind == journal_files.TRIP and begin_s <= trip.monotonic_s <= due_s
+        if is_due and not (directory / name).exists():
+            around_s = trip.monotonic_s - _BEFORE_S, trip.monotonic_s + after_s
+            near = [one for one in events if around_s[0] <= one.monotonic_s <= around_s[1]]
+            text = _text(info.drive, trip, near)
+            written.append(_write(directory / name, header, recent, around_s, text))
+    return written
 
 
 def _first(found: list[segments.Segment], column: str) -> Any:  # noqa: ANN401 - of the column
@@ -77,29 +60,27 @@ def _first(found: list[segments.Segment], column: str) -> Any:  # noqa: ANN401 -
 
 
 def _write(
-    recorded: reader.Session,
-    recent: dict[str, list[segments.Segment]],
-    trip: records.EventRow,
     path: Path,
-    after_s: float,
+    header: records.Header,
+    recent: dict[str, list[segments.Segment]],
+    around_s: tuple[float, float],
+    text: str,
 ) -> Path:
-    begin_s, end_s = trip.monotonic_s - _BEFORE_S, trip.monotonic_s + after_s
-
     def rows_of(table: str) -> segments.Batches:
-        schema = tables.table_schema(table, recorded.info)
+        schema = tables.table_schema(table, header.info)
         for batch in chain.from_iterable(segment.rows(schema) for segment in recent[table]):
             times_s = batch.column(MONOTONIC).to_pylist()
-            first, last = bisect.bisect_left(times_s, begin_s), bisect.bisect_right(times_s, end_s)
+            first = bisect.bisect_left(times_s, around_s[0])
+            last = bisect.bisect_right(times_s, around_s[1])
             if first < last:
                 yield batch.slice(first, last - first)
 
-    with session.unfinished_folder(recorded.path / f".{path.name}") as unfinished:
-        info = segments.write_segment(unfinished, recorded.info, 1, rows_of)
+    with session.unfinished_folder(path.with_name(f".{path.name}")) as unfinished:
+        info = segments.write_segment(unfinished, header.info, 1, rows_of)
         first = _first(segments.segments(unfinished, info, session.TableName.TICKS), "sequence")
         info = msgspec.structs.replace(info, first_sequence=first)
-        session.write_facts(unfinished, info, recorded.config_text)
-        events = [one for one in recorded.events if begin_s <= one.monotonic_s <= end_s]
-        (unfinished / TEXT_FILE).write_text(_text(info.drive, trip, events), encoding="utf-8")
+        session.write_facts(unfinished, info, header.config_text)
+        (unfinished / TEXT_FILE).write_text(text, encoding="utf-8")
         return unfinished.rename(path)
 
 
@@ -216,7 +197,7 @@ def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> l
         return []
     due_s = now_s - after_s if logged.open else math.inf
     trips = _with_reserve(
-        logged.folder, lambda: write_trips(directory, logged.header.info, due_s, after_s)
+        logged.folder, lambda: _write_trips(directory, logged.header, due_s, after_s)
     )
     info = session.read_info(directory)
     for part, files in groupby(logged.files, key=lambda file: file.part):
@@ -311,12 +292,12 @@ def _end(directory: Path, info: session.SessionInfo, logged: _Logged, report: Re
 
 def _remove_archived(files: Sequence[journal_files.LogFile], *, live: bool) -> None:
     """Remove the files before the last one that says what they have left."""
-    newest = journal_files.newest_sound(files)
-    if newest is None:
+    sound = journal_files.since_last_begin(files, [])
+    if not sound:
         return
     open_part = (files[-1].session, files[-1].part) if live else None
-    with newest.path.open("rb") as kept:
+    with sound[0].path.open("rb") as kept:
         os.fsync(kept.fileno())
     for file in files:
-        if file.number < newest.number and (file.session, file.part) != open_part:
+        if file.number < sound[0].number and (file.session, file.part) != open_part:
             file.path.unlink(missing_ok=True)

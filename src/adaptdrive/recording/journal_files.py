@@ -19,14 +19,7 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.recording.records import (
-    LARGEST_BYTES,
-    EventRow,
-    Header,
-    Kind,
-    Record,
-    read_frames,
-)
+from adaptdrive.recording.records import LARGEST_BYTES, EventRow, Header, Kind, Record, read_frames
 from adaptdrive.recording.session import Ending, SessionInfo, time_in_name
 from adaptdrive.util.errors import NOT_JSON, RecordingError, reason_of
 from adaptdrive.util.files import read_regular
@@ -160,16 +153,6 @@ class LogMemory:
 # Files of the log of a drive: their names, their records, and what the next run recalls of them.
 
 _NAME = re.compile(r"(?P<number>\d{8})-(?P<session>\d{8}T\d{12}Z)-(?P<part>\d{4,})\.log")
-
-
-def log_folder(state: Path, drive: str) -> Path:
-    """Return the folder of the log of a drive.
-
-    Args:
-        state: State directory of its daemon.
-        drive: Its name.
-    """
-    return state / f"{drive}.log"
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -319,9 +302,8 @@ def recall(folder: Path, now: datetime) -> Recalled:
         files = log_files(folder)
     except RecordingError as problem:
         return Recalled(flaws=(str(problem),))
-    known = _since_last_begin(files, flaws)
     memory = LogMemory(Recalled(), 0.0)
-    for file in known:
+    for file in since_last_begin(files, flaws):
         try:
             for record in records([file], flaws):
                 memory.take(record)
@@ -331,13 +313,13 @@ def recall(folder: Path, now: datetime) -> Recalled:
     return memory.recalled(now, files[-1].number if files else 0, places)
 
 
-def newest_sound(files: Sequence[LogFile]) -> LogFile | None:
-    """Return the last file with a first record that can be read, None for none."""
-    return next(iter(_since_last_begin(files, [])), None)
+def since_last_begin(files: Sequence[LogFile], flaws: list[str]) -> Sequence[LogFile]:
+    """Return the files from the last one on whose first record can be read.
 
-
-def _since_last_begin(files: Sequence[LogFile], flaws: list[str]) -> Sequence[LogFile]:
-    """Return the files from the last one on whose first record can be read."""
+    Args:
+        files: Files of one log, in their order.
+        flaws: Takes what cannot be read, in words.
+    """
     for place in reversed(range(len(files))):
         try:
             if files[place].begin() is not None:

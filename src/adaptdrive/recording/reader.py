@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-import msgspec
 import pyarrow as pa
 
 from adaptdrive.recording import records, session, tables
-from adaptdrive.recording.segments import Segment, closed_segments, segments
+from adaptdrive.recording.segments import Segment, closed_segments, read_notes, segments
 from adaptdrive.util.errors import RecordingError, reason_of
 from adaptdrive.util.files import read_regular
 
@@ -130,25 +128,8 @@ def session_notes(
         found = segments(directory, session.read_info(directory))
     except RecordingError:
         found = closed_segments(directory)
-    notes: dict[str, list[Any]] = {session.TableName.EVENTS: [], session.TableName.COMMANDS: []}
-    for segment in found:
-        try:
-            if segment.table in notes:
-                notes[segment.table] += _notes(segment)
-        except RecordingError as problem:
-            if damage is None:
-                raise
-            damage.append(str(problem))
-    return tuple(notes[session.TableName.EVENTS]), tuple(notes[session.TableName.COMMANDS])
-
-
-def _notes(segment: Segment) -> list[Any]:
-    try:
-        schema = tables.table_schema(segment.table)
-        rows = [row for batch in segment.rows(schema) for row in batch.to_pylist()]
-        return [msgspec.convert(row, tables.NOTE_ROWS[segment.table]) for row in rows]
-    except (msgspec.ValidationError, ValueError, OverflowError) as problem:
-        raise RecordingError(segment.path, f"damaged {segment.table}: {problem}") from problem
+    events = read_notes(found, session.TableName.EVENTS, damage)
+    return tuple(events), tuple(read_notes(found, session.TableName.COMMANDS, damage))
 
 
 def read_session(path: Path) -> Session:

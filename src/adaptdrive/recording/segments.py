@@ -27,7 +27,13 @@ import pyarrow as pa
 
 from adaptdrive.recording import journal_files, session
 from adaptdrive.recording.records import ROW_KINDS, CommandRow, EventRow, Keep, Kind, Record, Ticks
-from adaptdrive.recording.tables import read_parquet, rows_batch, ticks_batch, write_parquet
+from adaptdrive.recording.tables import (
+    read_parquet,
+    rows_batch,
+    table_schema,
+    ticks_batch,
+    write_parquet,
+)
 from adaptdrive.runtime.reports import BINS, MONOTONIC, bin_of
 from adaptdrive.util.errors import NOT_JSON, RecordingError
 
@@ -39,7 +45,7 @@ _TICKS_AT_ONCE = 5_000
 _ROWS_AT_ONCE = 200
 """Rows of a batch: as Python values they take many times their size on disk."""
 
-_KINDS: dict[str, tuple[Kind, Any, str]] = {
+KINDS: dict[str, tuple[Kind, Any, str]] = {
     session.TableName.TICKS: (Kind.TICKS, Ticks, "sequence"),
     session.TableName.SLOW: (Kind.SLOW, list[dict[str, Any]], MONOTONIC),
     session.TableName.SENSORS: (Kind.SENSORS, list[dict[str, Any]], MONOTONIC),
@@ -48,7 +54,7 @@ _KINDS: dict[str, tuple[Kind, Any, str]] = {
 }
 """Kind and contents of the records of each table, and its column that only ever grows."""
 
-_NAME = re.compile(rf"({'|'.join(_KINDS)})-(\d{{4,}})\.parquet")
+_NAME = re.compile(rf"({'|'.join(KINDS)})-(\d{{4,}})\.parquet")
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -75,7 +81,7 @@ class Segment:
     @property
     def key(self) -> str:
         """Name of its column that only ever grows."""
-        return _KINDS[self.table][2]
+        return KINDS[self.table][2]
 
     def rows(self, schema: pa.Schema, losses: list[str] | None = None) -> Batches:
         """Yield its rows a batch at a time.
@@ -91,6 +97,19 @@ class Segment:
             yield from read_parquet(self.path, schema)
         else:
             yield from logged_batches(self.logged, self.table, schema, losses)
+
+    def notes(self) -> list[Any]:
+        """Return its events or commands.
+
+        Raises:
+            RecordingError: They are damaged.
+        """
+        try:
+            schema, kind = table_schema(self.table), KINDS[self.table][1]
+            rows = (row for batch in self.rows(schema) for row in batch.to_pylist())
+            return [msgspec.convert(row, kind) for row in rows]
+        except (msgspec.ValidationError, ValueError, OverflowError) as problem:
+            raise RecordingError(self.path, f"damaged {self.table}: {problem}") from problem
 
 
 def parquet_path(directory: Path, table: str, number: int) -> Path:
@@ -109,10 +128,38 @@ def segments(directory: Path, info: session.SessionInfo, table: str | None = Non
     Raises:
         RecordingError: The folder of the log cannot be read.
     """
-    tables = _KINDS if table is None else (table,)
-    every = (*_logged(directory, info, tables), *closed_segments(directory))
-    found = {(one.number, one.table): one for one in every if one.table in tables}
+    tables = KINDS if table is None else (table,)
+    found: dict[tuple[int, str], Segment] = {}
+    for part, group in groupby(journal_files.unarchived(directory, info), lambda file: file.part):
+        files = tuple(group)
+        for name in tables:
+            path = parquet_path(directory, name, part)
+            found[part, name] = Segment(part, name, path, files)
+    closed = (one for one in closed_segments(directory) if one.table in tables)
+    found |= {(one.number, one.table): one for one in closed}
     return sorted(found.values())
+
+
+def read_notes(found: Iterable[Segment], table: str, damage: list[str] | None = None) -> list[Any]:
+    """Return the events or the commands in segments.
+
+    Args:
+        found: The segments, of any table.
+        table: Name of the table.
+        damage: Takes what cannot be read, in words; None to refuse that.
+
+    Raises:
+        RecordingError: They are damaged.
+    """
+    notes: list[Any] = []
+    for segment in found:
+        try:
+            notes += segment.notes() if segment.table == table else ()
+        except RecordingError as problem:
+            if damage is None:
+                raise
+            damage.append(str(problem))
+    return notes
 
 
 def write_segment(
@@ -138,7 +185,7 @@ def write_segment(
     """
     rows = dict(info.rows)
     times = {name: list(info.histograms.get(name, [0] * BINS)) for name in _TIMES}
-    for table in _KINDS:
+    for table in KINDS:
         counted = _counted(rows_of(table), table, rows, times)
         write_parquet(parquet_path(directory, table, part), counted)
     histograms = {name: tuple(counts) for name, counts in times.items()}
@@ -166,15 +213,6 @@ def closed_segments(directory: Path) -> list[Segment]:
     ]
 
 
-def _logged(directory: Path, info: session.SessionInfo, tables: Iterable[str]) -> Iterator[Segment]:
-    for part, group in groupby(
-        journal_files.unarchived(directory, info), key=lambda file: file.part
-    ):
-        files = tuple(group)
-        for table in tables:
-            yield Segment(part, table, parquet_path(directory, table, part), files)
-
-
 def logged_batches(
     files: Sequence[journal_files.LogFile],
     table: str,
@@ -193,7 +231,7 @@ def logged_batches(
         RecordingError: A file cannot be read at all.
     """
     losses = [] if losses is None else losses
-    kind, contents, _ = _KINDS[table]
+    kind, contents, _ = KINDS[table]
     timed: list[tuple[Any, float]] = []
     rows = 0
     for record in journal_files.records(files, losses):
