@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from adaptdrive.cli import options
-from adaptdrive.cli.sessions import find
-from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.cli.sessions import opened
+from adaptdrive.util.errors import ConfigurationError
 from adaptdrive.util.files import replace_result
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def plot(session: str | None = None, /, *, view: SessionView = _WHOLE) -> int:
     """
     with options.needing("analysis"):
         from adaptdrive.analysis.figures import plot as plot_session  # noqa: PLC0415 - it is large
-    path = _find(session)
+    path = opened(session).path
     figure, report = plot_session(path, view.begin, view.end, view.folder(path))
     files = {"figure": str(figure), "report": str(report)}
     return view.present(f"{figure}\n{report}", files, report)
@@ -125,7 +125,7 @@ def identify(
     """
     with options.needing("analysis"):
         from adaptdrive.analysis import load_report, record  # noqa: PLC0415 - they are large
-    path = Path(source) if source is not None and Path(source).is_file() else _find(source)
+    path = Path(source) if source is not None and Path(source).is_file() else opened(source).path
     figure = view.folder(path.parent if path.is_file() else path) / "load.png"
     wanted = record.RecordView(**asdict(columns), begin_s=view.begin, end_s=view.end)
     found = record.identify_source(path, wanted)
@@ -156,7 +156,7 @@ def whatif(
     with options.needing("analysis"):
         from adaptdrive.analysis import whatif  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.whatif import what_if  # noqa: PLC0415
-    path = _find(session)
+    path = opened(session).path
     figure = view.folder(path) / "whatif.png"
     found = what_if(path, settings, view.begin, view.end)
     for one in found.idle:
@@ -185,20 +185,10 @@ def export(
     with options.needing("export"):
         from adaptdrive.analysis.export import export as export_session  # noqa: PLC0415
 
-        files = export_session(_find(session), to, Path() if into is None else into)
+        files = export_session(opened(session).path, to, Path() if into is None else into)
         paths = [str(path) for path in files]
     print(dumps(paths) if as_json else "\n".join(paths))
     return 0
-
-
-def _find(name: str | None) -> Path:
-    """Return the folder of a session, by default the last one; report damaged events."""
-    from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - `--help` reads none
-
-    path = find(name)
-    if damage := read_session(path).damage:
-        print(f"adaptdrive: {damage}", file=sys.stderr)
-    return path
 
 
 # The guided experiment on an unknown load.
@@ -313,7 +303,7 @@ def _configuration(drive: str, config: Path | None) -> Path:
     for path in found:
         if path.is_file():
             return path
-    raise ConfigurationError(found[0], [Flaw("file", "is not there; name one with --config")])
+    raise ConfigurationError.of(found[0], "file", "is not there; name one with --config")
 
 
 def _agreed(announcement: str) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +25,7 @@ from cyclopts import (
 from adaptdrive import __version__, build_name
 from adaptdrive.cli import UNUSABLE, print_error
 from adaptdrive.runtime.requests import REQUESTS
-from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, nearest
 
 if TYPE_CHECKING:  # no command needs it for its help
     from adaptdrive.config.services import Mqtt
@@ -83,8 +83,6 @@ def _usage_error(program: str, problem: CycloptsError) -> str:
     """Return why the words name no command that can be carried out."""
     words = " ".join(problem.unused_tokens or ())
     if isinstance(problem, UnknownCommandError):
-        from adaptdrive.util.errors import nearest  # noqa: PLC0415 - no command needs it
-
         hint = nearest(words.split(" ")[0], [*_COMMANDS, *REQUESTS, "list", "sessions"])
         return f"unknown command {words!r}{hint}; see {program} --help"
     if isinstance(problem, UnusedCliTokensError):
@@ -169,6 +167,26 @@ def print_json(content: object) -> None:
     print(msgspec.json.format(msgspec.json.encode(content)).decode())
 
 
+def print_each(found: Iterable[tuple[str, object]], as_json: bool) -> int:
+    """Print the line of each thing as it comes, or a list of the contents as JSON at the end.
+
+    Args:
+        found: Line and content of each.
+        as_json: Print JSON, for programs.
+
+    Returns:
+        How many there are.
+    """
+    contents = []
+    for line, content in found:
+        contents.append(content)
+        if not as_json:
+            print(line)
+    if as_json:
+        print_json(contents)
+    return len(contents)
+
+
 @contextmanager
 def needing(name: str) -> Iterator[None]:
     """End the command where a library is missing that belongs to an extra of the package.
@@ -195,7 +213,7 @@ def refuse_unwritable(folder: Path) -> None:
     from adaptdrive.util.files import directory_flaw  # noqa: PLC0415 - few commands need it
 
     if (flaw := directory_flaw(folder)) is not None:
-        raise ConfigurationError("--into", [Flaw(str(folder), f"cannot be written: {flaw}")])
+        raise ConfigurationError.of("--into", str(folder), f"cannot be written: {flaw}")
 
 
 # Options of all operator commands: address of the broker, login, form of the output.
@@ -253,12 +271,6 @@ def _check_authority(_: object, contact: Contact | None) -> None:
         )
 
 
-def _configured(path: Path) -> Mqtt:
-    from adaptdrive.config.file import load_configuration  # noqa: PLC0415 - few commands need it
-
-    return load_configuration(path).mqtt
-
-
 DriveName = Annotated[str, Parameter(validator=_check_drive)]
 
 
@@ -301,9 +313,10 @@ class Contact:
         Raises:
             ConfigurationError: The configuration cannot be used.
         """
-        from adaptdrive.config.services import Mqtt  # noqa: PLC0415 - `--help` needs none
+        from adaptdrive.config.file import load_configuration  # noqa: PLC0415 - `--help` needs none
+        from adaptdrive.config.services import Mqtt  # noqa: PLC0415 - as above
 
-        known = Mqtt() if self.config is None else _configured(self.config)
+        known = Mqtt() if self.config is None else load_configuration(self.config).mqtt
         tls = self.tls or (known.tls and self.broker is None)
         host, port = known.host, known.port
         if self.broker is not None:

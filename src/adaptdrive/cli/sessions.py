@@ -1,25 +1,26 @@
 """Commands on recorded sessions: list, show, verify, prune; their events; the controller again."""
 
-from __future__ import annotations
-
 import os
 import sys
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
-from adaptdrive.cli.options import Json, Settings, print_json, refusing
-from adaptdrive.util.errors import ConfigurationError, Flaw, RecordingError, escaped
-
-if TYPE_CHECKING:  # `--help` reads no recordings
-    from adaptdrive.config import Configuration
-    from adaptdrive.control.controller import Controller
-    from adaptdrive.recording.reader import Verification
-    from adaptdrive.recording.records import EventRow
-    from adaptdrive.recording.session import SessionInfo
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings
+from adaptdrive.cli.options import Json, Settings, print_each, print_json, refusing
+from adaptdrive.config import Configuration
+from adaptdrive.control.controller import Controller
+from adaptdrive.mqtt.contract import remedy
+from adaptdrive.recording import journal_files, reader, segments
+from adaptdrive.recording import replay as replaying
+from adaptdrive.recording import session as folders
+from adaptdrive.recording.records import EventRow, Keep
+from adaptdrive.runtime.reports import EVENT_KINDS
+from adaptdrive.util.errors import ConfigurationError, Flaw, RecordingError, escaped, nearest
 
 app = App(name="sessions")
 
@@ -33,9 +34,6 @@ _check_limit = refusing(
 
 
 def _refuse_unknown(kinds: tuple[str, ...]) -> None:
-    from adaptdrive.runtime.reports import EVENT_KINDS  # noqa: PLC0415
-    from adaptdrive.util.errors import nearest  # noqa: PLC0415 - `--help` needs none of these
-
     known = ", ".join(EVENT_KINDS)
     flaws = [
         Flaw(kind, f"no event is of this kind{nearest(kind, EVENT_KINDS)}; known: {known}")
@@ -58,35 +56,25 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
         directory: Folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out.
         as_json: Print JSON.
     """
-    from adaptdrive.recording.segments import size_of  # noqa: PLC0415
-    from adaptdrive.recording.session import (  # noqa: PLC0415
-        NO_SESSION,
-        Dropped,
-        read_info,
-        recorded_directories,
-    )
-
-    found: list[dict[str, object]] = []
-    for path in recorded_directories(_folder(directory)):
-        try:
-            info = read_info(path)
-        except RecordingError as problem:
-            found.append({"session": escaped(path.name), "damaged": str(problem)})
-            if not as_json:
-                print(f"{path.name}  damaged: {problem}")
-            continue
-        found.append(_facts(path, info))
-        if as_json:
-            continue
-        trips = len(_trips(path))
-        lost = f", not recorded: {info.dropped}" if info.dropped != Dropped() else ""
-        tripped = f", {trips} trips" if trips else ""
-        print(f"{path.name}  {info.ended:<8} {size_of(path) / 1e6:9.1f} MB{tripped}{lost}")
-    if as_json:
-        print_json(found)
-    elif not found:
-        print(f"adaptdrive: {_folder(directory)}: {NO_SESSION}", file=sys.stderr)
+    every = folders.session_directories(_folder(directory), folders.PARTS)
+    if not print_each(map(_listed, every), as_json) and not as_json:
+        print(f"adaptdrive: {_folder(directory)}: {folders.NO_SESSION}", file=sys.stderr)
     return 0
+
+
+def _listed(path: Path) -> tuple[str, dict[str, Any]]:
+    """Return the line of a session in the list, and the same for programs."""
+    try:
+        info = folders.read_info(path)
+    except RecordingError as problem:
+        damaged = {"session": escaped(path.name), "damaged": str(problem)}
+        return f"{path.name}  damaged: {problem}", damaged
+    facts = _facts(path, info)
+    trips = len(facts["trips"])
+    lost = f", not recorded: {info.dropped}" if info.dropped != folders.Dropped() else ""
+    tripped = f", {trips} trips" if trips else ""
+    size = f"{facts['bytes'] / 1e6:9.1f} MB"
+    return f"{path.name}  {info.ended:<8} {size}{tripped}{lost}", facts
 
 
 @app.command
@@ -98,12 +86,9 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         directory: Folder of the sessions.
         as_json: Print JSON.
     """
-    from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
-    from adaptdrive.recording.segments import segments, size_of  # noqa: PLC0415
-
-    found = read_session(find(session, directory))
-    info, last = found.info, found.last_tick
-    numbers = (segment.number for segment in segments(found.path, info))
+    found = opened(session, directory)
+    info, last, facts = found.info, found.last_tick, _facts(found.path, found.info)
+    numbers = (segment.number for segment in segments.segments(found.path, info))
     unread = "damaged" if found.damage else ""
     rows = [
         ("session", str(found.path)),
@@ -116,16 +101,13 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         ("segments", str(max(numbers, default=0))),
         ("events", unread or str(len(found.events))),
         ("commands", unread or str(len(found.commands))),
-        ("trips", ", ".join(_trips(found.path)) or unread or "none"),
-        ("size", f"{size_of(found.path) / 1e6:.1f} MB"),
+        ("trips", ", ".join(facts["trips"]) or unread or "none"),
+        ("size", f"{facts['bytes'] / 1e6:.1f} MB"),
     ]
-    if found.damage:
-        print(f"adaptdrive: {found.damage}", file=sys.stderr)
     if as_json:
-        print_json(_facts(found.path, info))
-        return 0
-    for name, text in rows:
-        print(f"{name:<14}{text}")
+        print_json(facts)
+    else:
+        print("\n".join(f"{name:<14}{text}" for name, text in rows))
     return 0
 
 
@@ -142,23 +124,20 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
     Returns:
         0 when nothing is damaged, nothing is missing and nothing waits to be written, else 1.
     """
-    from adaptdrive.recording.reader import Verification, read_session  # noqa: PLC0415
-    from adaptdrive.recording.reader import verify as verify_session  # noqa: PLC0415
-    from adaptdrive.recording.session import recorded_directories  # noqa: PLC0415
-
     status = 0
     verdicts: dict[str, object] = {}
-    named = [(name, find(name, directory)) for name in sessions]
-    found = named or [(path.name, path) for path in recorded_directories(_folder(directory))]
+    named = [(name, _find(name, directory)) for name in sessions]
+    every = folders.session_directories(_folder(directory), folders.PARTS)
+    found = named or [(path.name, path) for path in every]
     for left in () if sessions else filter(_is_left, (path for _, path in found)):
         status = 1
         text = f"{left.name}: data and events that the next start of the daemon writes"
         print(f"adaptdrive: {text} into it", file=sys.stderr)
     for name, path in found:
         try:
-            verdict = verify_session(read_session(path))
+            verdict = reader.verify(reader.read_session(path))
         except RecordingError as damage:  # the others are verified all the same
-            verdict = Verification({}, 0, (str(damage),))
+            verdict = reader.Verification({}, 0, (str(damage),))
         status = status if verdict.whole else 1
         if as_json:
             verdicts[escaped(name)] = {"whole": verdict.whole, **asdict(verdict)}
@@ -188,17 +167,9 @@ def prune(
         directory: Folder of the sessions.
         as_json: Print JSON: a sentence for each removal.
     """
-    from adaptdrive.recording.records import Keep  # noqa: PLC0415 - see above
-    from adaptdrive.recording.segments import prune as prune_sessions  # noqa: PLC0415
-
     keep = Keep(keep_days, None if keep_MB is None else round(keep_MB * 1e6))
-    removals: list[str] = []
-    for sentence in prune_sessions(_folder(directory), keep, datetime.now(UTC)):
-        removals.append(sentence)
-        if not as_json:
-            print(sentence)
-    if as_json:
-        print_json(removals)
+    removals = segments.prune(_folder(directory), keep, datetime.now(UTC))
+    print_each(((sentence, sentence) for sentence in removals), as_json)
     return 0
 
 
@@ -218,11 +189,8 @@ def events(
         directory: Folder of the sessions.
         as_json: Print JSON.
     """
-    from adaptdrive.mqtt.contract import remedy  # noqa: PLC0415
-    from adaptdrive.recording.reader import session_notes  # noqa: PLC0415 - see above
-
     _refuse_unknown(kind)
-    noted, _ = session_notes(find(session, directory))
+    noted, _ = reader.session_notes(_find(session, directory))
     found = [one for one in noted if not kind or one.kind in kind]
     if as_json:
         print_json(found)
@@ -242,35 +210,27 @@ def _shown(events: list[EventRow]) -> list[EventRow]:
 
 def _is_left(path: Path) -> bool:
     """Return whether a daemon that was killed has left a part of a session in its log."""
-    from adaptdrive.recording.journal_files import in_progress, unarchived  # noqa: PLC0415
-    from adaptdrive.recording.session import read_info  # noqa: PLC0415
-
     try:
-        info = read_info(path)
-        return bool(unarchived(path, info)) and not in_progress(path, info)
+        info = folders.read_info(path)
+        unarchived = journal_files.unarchived(path, info)
+        return bool(unarchived) and not journal_files.in_progress(path, info)
     except RecordingError:
         return False  # it is verified all the same
 
 
-def _condition(verdict: Verification) -> str:
+def _condition(verdict: reader.Verification) -> str:
     if verdict.missing_ticks:
         return f"{verdict.missing_ticks} ticks are missing"
     return "whole" if verdict.whole else "damaged"
 
 
-def _facts(path: Path, info: object) -> dict[str, object]:
-    from adaptdrive.recording.segments import size_of  # noqa: PLC0415
-
+def _facts(path: Path, info: folders.SessionInfo) -> dict[str, Any]:
     return {
         "session": escaped(path.name),
-        "bytes": size_of(path),
-        "trips": _trips(path),
+        "bytes": segments.size_of(path),
+        "trips": sorted(one.name for one in path.glob("trip-*")),
         "info": info,
     }
-
-
-def _trips(path: Path) -> list[str]:
-    return sorted(one.name for one in path.glob("trip-*"))
 
 
 def _folder(directory: Path | None) -> Path:
@@ -279,23 +239,26 @@ def _folder(directory: Path | None) -> Path:
     Raises:
         RecordingError: The folder that was named is none.
     """
-    from adaptdrive.recording.session import sessions_directory  # noqa: PLC0415
-
     if directory is not None and not directory.is_dir():
         raise RecordingError(directory, "there is no such folder")
-    return sessions_directory(directory, os.environ)
+    return folders.sessions_directory(directory, os.environ)
 
 
-def find(name: str | None, directory: Path | None = None) -> Path:
-    """Return the folder of a session.
+def _find(name: str | None, directory: Path | None) -> Path:
+    return reader.find_session(name, _folder(directory))
+
+
+def opened(name: str | None, directory: Path | None = None) -> reader.Session:
+    """Return a session; name on standard error what of its events cannot be read.
 
     Args:
         name: Its folder, or its name in the folder of sessions; None for the last one.
         directory: Folder of the sessions, that of this machine when None.
     """
-    from adaptdrive.recording.reader import find_session  # noqa: PLC0415 - see above
-
-    return find_session(name, _folder(directory))
+    session = reader.read_session(_find(name, directory))
+    if session.damage:
+        print(f"adaptdrive: {session.damage}", file=sys.stderr)
+    return session
 
 
 # `adaptdrive replay`: the controller again, on recorded measurements.
@@ -317,19 +280,13 @@ def replay(session: str | None = None, /, *, settings: Settings = (), as_json: J
     Raises:
         AdaptdriveError: There is no such session, or a setting is not valid.
     """
-    from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
-    from adaptdrive.recording.replay import reconfigured  # noqa: PLC0415
-    from adaptdrive.recording.replay import replay as run_again  # noqa: PLC0415
-
-    path = find(session)
-    record = read_session(path)
-    configuration = reconfigured(record.config_text, path / "config.toml", settings)
-    report = run_again(record, controller_at_start(record.info, configuration))
-    if record.damage:
-        sys.stderr.write(f"adaptdrive: {record.damage}\n")
+    record = opened(session)
+    text, source = record.config_text, record.path / folders.CONFIG_FILE
+    configuration = replaying.reconfigured(text, source, settings)
+    report = replaying.replay(record, controller_at_start(record.info, configuration))
     for setting in settings:
-        if not _acts(record.config_text, path / "config.toml", setting):
-            sys.stderr.write(f"adaptdrive: {setting}: {_WITHOUT_EFFECT}\n")
+        if not _acts(text, source, setting):
+            print(f"adaptdrive: {setting}: {_WITHOUT_EFFECT}", file=sys.stderr)
     if as_json:
         print_json({"bit_equal": report.exact, **asdict(report)})
     else:
@@ -337,17 +294,13 @@ def replay(session: str | None = None, /, *, settings: Settings = (), as_json: J
     return 0 if report.exact or settings else 1
 
 
-def controller_at_start(info: SessionInfo, configuration: Configuration) -> Controller:
+def controller_at_start(info: folders.SessionInfo, configuration: Configuration) -> Controller:
     """Return a controller that begins with what the recorded one had learnt before.
 
     Args:
         info: Of the session.
         configuration: Of the controller, which may ask for another kind of load.
     """
-    from adaptdrive.app.loads import build_load  # noqa: PLC0415 - see above
-    from adaptdrive.app.settings import controller_settings  # noqa: PLC0415
-    from adaptdrive.control.controller import Controller  # noqa: PLC0415
-
     load, prior = build_load(configuration), info.prior
     if prior is not None and len(prior) != len(load.names):
         prior = None
@@ -362,14 +315,10 @@ _WITHOUT_EFFECT = (
 
 def _acts(text: str, source: Path, setting: str) -> bool:
     """Return whether a setting changes anything of the controller that is run again."""
-    from adaptdrive.app.loads import build_load  # noqa: PLC0415 - see above
-    from adaptdrive.app.settings import controller_settings  # noqa: PLC0415
-    from adaptdrive.recording.replay import reconfigured  # noqa: PLC0415
-
     try:
-        changed = reconfigured(text, source, (setting,))
+        changed = replaying.reconfigured(text, source, (setting,))
     except ConfigurationError:  # it needs another setting, too
         return True
-    recorded = reconfigured(text, source, ())
+    recorded = replaying.reconfigured(text, source, ())
     acting = [(controller_settings(one), build_load(one)) for one in (recorded, changed)]
     return acting[0] != acting[1]

@@ -245,24 +245,21 @@ def time_in_name(time: datetime) -> str:
     return f"{time:%Y%m%dT%H%M%S%fZ}"
 
 
-def session_directories(sessions: Path) -> Iterator[Path]:
-    """Yield the directories of sessions in a folder, the oldest first."""
-    yield from _with_any(sessions, (INFO_FILE,))
+def session_directories(sessions: Path, files: Sequence[str] = (INFO_FILE,)) -> Iterator[Path]:
+    """Yield the directories of sessions in a folder, the oldest first.
 
-
-def recorded_directories(sessions: Path) -> Iterator[Path]:
-    """Yield these, and those of sessions whose `session.json` is lost."""
-    yield from _with_any(sessions, PARTS)
-
-
-def _with_any(sessions: Path, files: tuple[str, ...]) -> Iterator[Path]:
+    Args:
+        sessions: The folder.
+        files: Names by one of which a session is known; with `PARTS` those are found, too, of which
+            `session.json` is lost.
+    """
     if sessions.is_dir():
         finished = (path for path in sessions.iterdir() if not path.name.startswith("."))
         found = [path for path in finished if has_any(path, files)]
         yield from sorted(found, key=lambda path: path.name.removeprefix(TRIP_PREFIX))
 
 
-def has_any(directory: Path, files: tuple[str, ...]) -> bool:
+def has_any(directory: Path, files: Sequence[str]) -> bool:
     """Return whether a folder has a file with one of some names."""
     try:
         return any(True for file in files for _ in directory.glob(file))
