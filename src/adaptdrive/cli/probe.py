@@ -7,10 +7,10 @@ import asyncio
 import math
 import os
 import sys
-from collections.abc import Callable
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
+from typing import TextIO
 
 import msgspec
 
@@ -37,29 +37,6 @@ _COMMAND_S = 0.02
 _ANSWER_EVERY = 50
 
 
-Remark = Callable[[str], None]
-"""Prints a remark next to what is shown."""
-
-
-Show = Callable[[Configuration, Port, Reading | None, int], None]
-"""Prints what is known after so many half seconds."""
-
-
-class _Probe:
-    """Remembers the latest reading."""
-
-    def __init__(self) -> None:
-        self.reading: Reading | None = None
-
-    def on_reading(self, reading: Reading) -> None:
-        """Keep the reading."""
-        self.reading = reading
-
-    def on_bus(self, up: bool, detail: str) -> None:
-        """Print that the bus was lost or came back."""
-        sys.stderr.write(f"bus {'up' if up else 'lost'}: {detail}\n")
-
-
 def probe(config: Path, /, *, safe_command: bool = False, as_json: Json = False) -> int:
     """Show decoded measurements and refused frames as they come from the bus; command nothing.
 
@@ -78,78 +55,110 @@ def probe(config: Path, /, *, safe_command: bool = False, as_json: Json = False)
     """
     configuration = examine.load_examined(config)
     locks = process.lock_names(configuration) if safe_command else ()
-    show = _show_json if as_json else _show_text
-    remark = _print_aside if as_json else _print
     try:
         with process.locked(locks, os.environ):
-            asyncio.run(_listen(configuration, config, (show, remark), safe_command=safe_command))
+            port = ports.build_whole_port(configuration, now_s, config, passive=not safe_command)
+            asyncio.run(_Probe(configuration, port, as_json=as_json).run(safe_command=safe_command))
     except* (AdaptdriveError, OSError) as group:  # standard output may be one that is full
         raise first_error(group) from None
     return 0
 
 
-async def _listen(
-    configuration: Configuration, path: Path, outputs: tuple[Show, Remark], *, safe_command: bool
-) -> None:
-    show, remark = outputs
-    port = ports.build_whole_port(configuration, now_s, path, passive=not safe_command)
-    listener = _Probe()
-    async with asyncio.TaskGroup() as tasks:
-        tasks.create_task(port.run(listener, lambda: remark(port.description)))
-        if safe_command:
-            tasks.create_task(_command(port, listener, remark))
-        for number in count():
-            await asyncio.sleep(_EVERY_S)
-            show(configuration, port, listener.reading, number)
+class _Probe:
+    """Shows what comes from the bus."""
+
+    def __init__(self, configuration: Configuration, port: Port, *, as_json: bool) -> None:
+        self._load, self._given = configuration.load, configuration.drive.given
+        self._port = port
+        self._as_json = as_json
+        self._reading: Reading | None = None
+
+    def on_reading(self, reading: Reading) -> None:
+        """Keep the latest reading."""
+        self._reading = reading
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """Print that the bus was lost or came back."""
+        sys.stderr.write(f"bus {'up' if up else 'lost'}: {detail}\n")
+
+    async def run(self, *, safe_command: bool) -> None:
+        """Print what is known every half second until cancelled."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._port.run(self, lambda: self._remark(self._port.description)))
+            if safe_command:
+                tasks.create_task(self._command())
+            for number in count():
+                await asyncio.sleep(_EVERY_S)
+                if self._as_json:
+                    _print(msgspec.json.encode(self._content(number)).decode())
+                else:
+                    self._show_text(number)
+
+    def _remark(self, text: str) -> None:
+        """Print a remark next to what is shown."""
+        _print(text, sys.stderr if self._as_json else sys.stdout)
+
+    def _show_text(self, number: int) -> None:
+        _print(self._line())
+        for report in ports.sensor_reports(self._port, now_s)():
+            _print(_sensor_line(report))
+        if number % _DETAILS_EVERY == 1:
+            for line in self._port.details():
+                _print(f"  {line}")
+
+    def _content(self, number: int) -> dict[str, object]:
+        """Return a reading, null before the first; names end in the unit, but for the output."""
+        reading, port = self._reading, self._port
+        return {
+            "number": number,
+            "age_s": None if reading is None else now_s() - reading.oldest_s,
+            "reading": reading,
+            "output": {"name": self._load.output_name, "unit": self._load.output_unit},
+            "manipulated": self._given,
+            "frames": port.statistics,
+            "sensors": ports.sensor_reports(port, now_s)(),
+            "refused": list(port.details()),
+        }
+
+    def _line(self) -> str:
+        counted = asdict(self._port.statistics).items()
+        counts = ", ".join(f"{name} {count}" for name, count in counted if count)
+        reading, load, given = self._reading, self._load, self._given
+        if reading is None:
+            return f"no reading yet ({counts or 'no frames'})"
+        age_ms = (now_s() - reading.oldest_s) * 1e3
+        return (
+            f"{given.name} {given.text(reading.boost_voltage_V, '7.2f')}  "
+            f"line {_shown(reading.line_voltage_V, '6.1f')} V  "
+            f"load {_shown(reading.load_power_W, '7.1f')} W  {load.output_name} "
+            f"{reading.output:9.5f} {load.output_unit}  bridge {'on' if reading.bridge else 'off'}"
+            f"  {_watched(reading)}  age {age_ms:5.1f} ms  ({counts})"
+        )
+
+    async def _command(self) -> None:
+        """Listen, then send the safe command until cancelled; print how the drive reacts.
+
+        Raises:
+            AdaptdriveError: Somebody else commands the drive.
+        """
+        port = self._port
+        await asyncio.sleep(_LISTEN_S)
+        if port.statistics.foreign_commands:
+            raise AdaptdriveError(f"no command sent: {port.trip_cause}")
+        before = _shown_state(self._reading)
+        for number in count(1):
+            port.send(SAFE_COMMAND)
+            await asyncio.sleep(_COMMAND_S)
+            if number % _ANSWER_EVERY == 0:
+                sent, dropped = port.statistics.sent, port.statistics.send_drops
+                self._remark(
+                    f"safe command: sent {sent}, dropped {dropped}; the drive says "
+                    f"{_shown_state(self._reading)} (before: {before})"
+                )
 
 
-def _show_text(
-    configuration: Configuration, port: Port, reading: Reading | None, number: int
-) -> None:
-    _print(_line(configuration, port, reading))
-    for report in ports.sensor_reports(port, now_s)():
-        _print(_sensor_line(report))
-    if number % _DETAILS_EVERY == 1:
-        _print("".join(f"  {line}\n" for line in port.details()), end="")
-
-
-def _show_json(
-    configuration: Configuration, port: Port, reading: Reading | None, number: int
-) -> None:
-    """Print a reading, null before the first; names end in the unit, the output has its own."""
-    age_s = None if reading is None else now_s() - reading.oldest_s
-    shown = {
-        "number": number,
-        "age_s": age_s,
-        "reading": reading,
-        "output": {"name": configuration.load.output_name, "unit": configuration.load.output_unit},
-        "manipulated": configuration.drive.given,
-        "frames": port.statistics,
-        "sensors": ports.sensor_reports(port, now_s)(),
-        "refused": list(port.details()),
-    }
-    _print(msgspec.json.encode(shown).decode())
-
-
-async def _command(port: Port, listener: _Probe, remark: Remark) -> None:
-    """Listen, then send the safe command until cancelled; print how the drive reacts.
-
-    Raises:
-        AdaptdriveError: Somebody else commands the drive.
-    """
-    await asyncio.sleep(_LISTEN_S)
-    if port.statistics.foreign_commands:
-        raise AdaptdriveError(f"no command sent: {port.trip_cause}")
-    before = _shown_state(listener.reading)
-    for number in count(1):
-        port.send(SAFE_COMMAND)
-        await asyncio.sleep(_COMMAND_S)
-        if number % _ANSWER_EVERY == 0:
-            counts = port.statistics
-            remark(
-                f"safe command: sent {counts.sent}, dropped {counts.send_drops}; the drive says "
-                f"{_shown_state(listener.reading)} (before: {before})"
-            )
+def _print(text: str, stream: TextIO | None = None) -> None:
+    print(text, file=stream, flush=True)
 
 
 def _shown_state(reading: Reading | None) -> str:
@@ -164,16 +173,6 @@ def _watched(reading: Reading) -> str:
     return f"fault {reading.fault:#x}{name}{warning}"
 
 
-def _print(text: str, end: str = "\n") -> None:
-    sys.stdout.write(text + end)
-    sys.stdout.flush()
-
-
-def _print_aside(text: str) -> None:
-    sys.stderr.write(text + "\n")
-    sys.stderr.flush()
-
-
 def _sensor_line(report: SensorReport) -> str:
     values = "  ".join(
         f"{name} {value:.6g} (age {report.age_s[name] * 1e3:.0f} ms)"
@@ -182,23 +181,6 @@ def _sensor_line(report: SensorReport) -> str:
     counts = ", ".join(f"{name} {count}" for name, count in report.bus.items() if count)
     lost = "" if report.up else f"lost: {report.detail}  "
     return f"  {report.name}: {lost}{values or 'no value yet'}  ({counts or 'no replies'})"
-
-
-def _line(configuration: Configuration, port: Port, reading: Reading | None) -> str:
-    counts = ", ".join(
-        f"{name} {count}" for name, count in asdict(port.statistics).items() if count
-    )
-    if reading is None:
-        return f"no reading yet ({counts or 'no frames'})"
-    age_ms = (now_s() - reading.oldest_s) * 1e3
-    load, given = configuration.load, configuration.drive.given
-    return (
-        f"{given.name} {given.text(reading.boost_voltage_V, '7.2f')}  "
-        f"line {_shown(reading.line_voltage_V, '6.1f')} V  "
-        f"load {_shown(reading.load_power_W, '7.1f')} W  {load.output_name} {reading.output:9.5f} "
-        f"{load.output_unit}  bridge {'on' if reading.bridge else 'off'}  "
-        f"{_watched(reading)}  age {age_ms:5.1f} ms  ({counts})"
-    )
 
 
 def _shown(value: float, form: str) -> str:
