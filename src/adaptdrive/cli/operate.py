@@ -12,7 +12,7 @@ from typing import Literal
 
 from msgspec.structs import asdict as asdict_of
 
-from adaptdrive.cli import UNUSABLE, discard_output, display
+from adaptdrive.cli import UNUSABLE, discard_output, display, print_error
 from adaptdrive.cli.options import Contact, DriveName, Number
 from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
 
@@ -56,12 +56,11 @@ def waveform(  # noqa: PLR0913 - the words of the command line
     numbers = {"low": low, "high": high, "period_s": period}
     if shape == "off":
         if any(number is not None for number in numbers.values()):
-            print("adaptdrive: waveform off takes no values", file=sys.stderr)
-            return UNUSABLE
+            return print_error("adaptdrive", "waveform off takes no values", UNUSABLE)
         return _ask(drive, "waveform", None, contact)
     if None in numbers.values():
-        print(f"adaptdrive: waveform {shape} needs LOW, HIGH and PERIOD", file=sys.stderr)
-        return UNUSABLE
+        missing = f"waveform {shape} needs LOW, HIGH and PERIOD"
+        return print_error("adaptdrive", missing, UNUSABLE)
     value = {"shape": shape, **numbers}
     return _ask(drive, "waveform", value, contact, preview=preview)
 
@@ -187,7 +186,7 @@ def status(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     try:
         found = asyncio.run(read_status(contact.settings, drive, contact.timeout))
     except NoAnswerError as problem:
-        return no_answer(problem)
+        return print_error("adaptdrive", str(problem), NO_ANSWER)
     print(
         json.dumps(asdict(found), indent=2) if contact.as_json else display.describe(drive, found)
     )
@@ -199,17 +198,16 @@ def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: objec
         sending = send_command(contact.settings, drive, verb, value, contact.timeout, **fields)
         reply = asyncio.run(sending)
     except NoAnswerError as problem:
-        return no_answer(problem)
+        return print_error("adaptdrive", str(problem), NO_ANSWER)
     if contact.as_json:
         _print_answer(json.dumps(asdict_of(reply)))
         return ACCEPTED if reply.accepted else REFUSED
     if reply.accepted:
         _print_answer(f"{drive}: {verb} accepted, {reply.state}")
         return ACCEPTED
-    print(f"adaptdrive: {drive} refused {verb}: {reply.reason}", file=sys.stderr)
-    if advice := display.refusal_advice(reply.reason):
-        print(f"adaptdrive: what to do: {advice}", file=sys.stderr)
-    return REFUSED
+    advice = display.refusal_advice(reply.reason)
+    steps = f"\nwhat to do: {advice}" if advice else ""
+    return print_error("adaptdrive", f"{drive} refused {verb}: {reply.reason}{steps}", REFUSED)
 
 
 def _print_answer(answer: str) -> None:
@@ -220,12 +218,6 @@ def _print_answer(answer: str) -> None:
         discard_output()
         unwritable = f"standard output cannot be written: {problem.strerror}"
         print(f"adaptdrive: {answer} ({unwritable})", file=sys.stderr)
-
-
-def no_answer(problem: NoAnswerError) -> int:
-    """Print why there is no answer, and return the exit status for it."""
-    print(f"adaptdrive: {problem}", file=sys.stderr)
-    return NO_ANSWER
 
 
 def list_drives(*, contact: Contact = _HERE) -> int:
@@ -240,7 +232,7 @@ def list_drives(*, contact: Contact = _HERE) -> int:
     try:
         found = asyncio.run(read_site(contact.settings, contact.timeout))
     except NoAnswerError as problem:
-        return no_answer(problem)
+        return print_error("adaptdrive", str(problem), NO_ANSWER)
     if contact.as_json:
         print(json.dumps({name: asdict(status) for name, status in found.items()}, indent=2))
     elif found:
@@ -265,8 +257,8 @@ def watch(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     from adaptdrive.tui.terminal import refuse_dumb_terminal  # noqa: PLC0415
 
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        print("adaptdrive: watch needs a terminal; in a pipe use status --json", file=sys.stderr)
-        return UNUSABLE
+        needed = "watch needs a terminal; in a pipe use status --json"
+        return print_error("adaptdrive", needed, UNUSABLE)
     refuse_dumb_terminal()
     answered = asyncio.run(watch_drive(contact.settings, drive, contact.timeout))
     return ACCEPTED if answered else NO_ANSWER
