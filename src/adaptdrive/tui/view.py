@@ -10,7 +10,15 @@ from rich.layout import Layout
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.mqtt import commands
+from adaptdrive.mqtt.commands import (
+    given_in,
+    is_known,
+    number,
+    part,
+    printable,
+    quantity_and_unit,
+    unconfirmed_stop,
+)
 from adaptdrive.tui.record import FORMS, OFF, REFERENCE, Payload, WatchRecord, plot
 from adaptdrive.tui.terminal import KeyCommand
 
@@ -153,12 +161,11 @@ def screen(record: WatchRecord, size: tuple[int, int], around: ViewExtras = WATC
 def _header(record: WatchRecord, width: int) -> Iterator[Text]:
     """Return the line of the drive, of which only the end may be cut, and those of a trip."""
     state = record.state
-    name = commands.printable(
-        state.get("state") if record.availability == "online" else record.availability
-    )
+    online = record.availability == "online"
+    name = printable(state.get("state") if online else record.availability)
     style = STATE_STYLES.get(name, "bold yellow")
     line = Text.assemble((f" {record.drive} ", "bold reverse"), " ", (f" {name} ", style), "  ")
-    if stop := state and commands.unconfirmed_stop(state):
+    if stop := state and unconfirmed_stop(state):
         line.append(f"stop {stop}  ", "bold yellow")
     if not record.live and (state or record.problem):
         line.append("OLD DATA ", "bold red")
@@ -169,23 +176,18 @@ def _header(record: WatchRecord, width: int) -> Iterator[Text]:
         line.append("nothing heard of this drive; see adaptdrive list")
     yield line
     if state.get("trip"):
-        remedy = commands.part(state, "last_trip").get("remedy") or "see the manual"
-        for text, style in (
-            (f"trip: {commands.printable(state['trip'])}", "red"),
-            (f"remedy: {commands.printable(remedy)}", ""),
-        ):
+        remedy = part(state, "last_trip").get("remedy") or "see the manual"
+        texts = {f"trip: {printable(state['trip'])}": "red", f"remedy: {printable(remedy)}": ""}
+        for text, style in texts.items():
             yield from (Text(one, style) for one in flow([text], width)[:_TRIP_LINES])
 
 
 def _add_controller(line: Text, state: Payload) -> None:
-    controller, mode = (
-        commands.printable(state.get("controller")),
-        commands.printable(state.get("mode")),
-    )
+    controller, mode = printable(state.get("controller")), printable(state.get("mode"))
     line.append(controller, f"bold {FORMS.get(controller, OFF).style}")
     line.append(" controller in force")
     if controller != mode:
-        line.append(f", {mode} asked for: {commands.printable(state.get('reason'))}", "yellow")
+        line.append(f", {mode} asked for: {printable(state.get('reason'))}", "yellow")
 
 
 def _plot(record: WatchRecord, longest_s: float, size: tuple[int, int]) -> Table:
@@ -193,7 +195,7 @@ def _plot(record: WatchRecord, longest_s: float, size: tuple[int, int]) -> Table
     since_s = now_s - points[0].time_s if points else 0.0
     window_s = min(max(since_s, _SHORTEST_WINDOW_S), longest_s)
     unit = f" in {record.unit}" if record.unit else ""
-    title = Text(commands.printable(f"{record.output_name}{unit}"))
+    title = Text(printable(f"{record.output_name}{unit}"))
     for name, form in {**FORMS, "off": OFF, "reference": REFERENCE}.items():
         title.append(f"  {form.sign * 2} {name}", form.style)
     title.append(" ")
@@ -221,10 +223,10 @@ def _middle(record: WatchRecord, around: ViewExtras, size: tuple[int, int]) -> T
 
 def _drive(record: WatchRecord, *, ranges: bool) -> Table:
     state, fast, load = record.state, record.fast, record.load
-    limits, wave = commands.part(state, "limits"), commands.part(state, "waveform")
+    limits, wave = part(state, "limits"), part(state, "waveform")
     reference = load.get("reference") if wave else state.get("setpoint")
-    wanted = commands.printable(wave.get("shape")) if wave else _range(limits.get("setpoint"))
-    given = commands.given_in(state)
+    wanted = printable(wave.get("shape")) if wave else _range(limits.get("setpoint"))
+    given = given_in(state)
     found = (
         (record.output_name, fast.get("output"), record.unit, ""),
         ("set-point", reference, record.unit, wanted),
@@ -244,24 +246,21 @@ def _estimates(record: WatchRecord, *, wide: bool) -> Table:
 
     The last row is how far the response to a step may be off by all that they leave open.
     """
-    found, truth = commands.part(record.load, "estimates"), record.truth
-    given = commands.given_in(record.state)
+    found, truth = part(record.load, "estimates"), record.truth
+    given = given_in(record.state)
     table = rows("l", "r", "r", "r") if truth else rows("l", "r", "r")
     accepted = "accepted" if record.load.get("accepted") else "not accepted" if found else ""
     head = (accepted, "learned", "± 2 σ", "truth")
     table.add_row(*head[: 4 if truth else 3], style=DIM)
     for name in list(found)[: _ROWS - 1]:
-        estimate = commands.part(found, name)
-        quantity, unit = commands.quantity_and_unit(name, found, record.unit, given.unit)
+        estimate = part(found, name)
+        quantity, unit = quantity_and_unit(name, found, record.unit, given.unit)
         named = f"{quantity}, {unit}" if unit and wide else quantity
-        learned = (
-            figure(commands.number(estimate.get("value"))),
-            figure(2.0 * commands.number(estimate.get("std")), 2),
-        )
-        real = (figure(commands.number(truth.get(name))),) if truth else ()
-        shown = learned if commands.is_known(estimate) else ("not known", "")
+        learned, spread = number(estimate.get("value")), 2.0 * number(estimate.get("std"))
+        shown = (figure(learned), figure(spread, 2)) if is_known(estimate) else ("not known", "")
+        real = (figure(number(truth.get(name))),) if truth else ()
         table.add_row(_text(named), *shown, *real)
-    off = 100.0 * commands.number(record.load.get("response_spread"))
+    off = 100.0 * number(record.load.get("response_spread"))
     if math.isfinite(off):
         table.add_row("response", f"± {figure(off, 2)} %")
     return table
@@ -270,23 +269,17 @@ def _estimates(record: WatchRecord, *, wide: bool) -> Table:
 def _health(record: WatchRecord) -> Iterator[str]:
     """Return what is counted, in the words of `telemetry/drive`."""
     fast = record.fast
-    lateness, bus, sensors = (
-        commands.part(fast, "lateness_us"),
-        commands.part(fast, "bus"),
-        commands.part(fast, "sensors"),
-    )
-    times = "/".join(
-        f"{1e-3 * commands.number(lateness.get(name)):.2f}" for name in ("p50", "p99", "max")
-    )
+    lateness, bus, sensors = (part(fast, name) for name in ("lateness_us", "bus", "sensors"))
+    times = "/".join(f"{1e-3 * number(lateness.get(name)):.2f}" for name in ("p50", "p99", "max"))
     yield f"late {times.replace('nan', '–')} ms"
-    yield commands.printable(f"missed {fast.get('missed', '–')}")
-    yield commands.printable(f"held {fast.get('held', '–')} of {fast.get('ticks', '–')}")
-    yield f"refused {sum(commands.number(bus.get(name, 0)) for name in _REFUSED):.0f}"
-    yield f"age {figure(1e3 * commands.number(fast.get('age_s')))} ms"
-    if down := [name for name in sensors if not commands.part(sensors, name).get("up")]:
-        yield commands.printable(f"sensor buses down: {', '.join(down)}")
+    yield printable(f"missed {fast.get('missed', '–')}")
+    yield printable(f"held {fast.get('held', '–')} of {fast.get('ticks', '–')}")
+    yield f"refused {sum(number(bus.get(name, 0)) for name in _REFUSED):.0f}"
+    yield f"age {figure(1e3 * number(fast.get('age_s')))} ms"
+    if down := [name for name in sensors if not part(sensors, name).get("up")]:
+        yield printable(f"sensor buses down: {', '.join(down)}")
     if record.load and not record.load.get("accepted"):
-        yield commands.printable(record.load.get("reason"))
+        yield printable(record.load.get("reason"))
 
 
 def _events(record: WatchRecord, count: int) -> Text:
@@ -295,38 +288,33 @@ def _events(record: WatchRecord, count: int) -> Text:
 
 
 def _event(event: Payload) -> Text:
-    time, kind, detail = (
-        commands.printable(event.get(name)) for name in ("time", "kind", "detail")
-    )
+    time, kind, detail = (printable(event.get(name)) for name in ("time", "kind", "detail"))
     style = _SEVERITY_STYLES.get(str(event.get("severity")), "")
     return Text.assemble((f" {time[11:19]} ", DIM), (f"{kind:<11} ", "bold"), (detail, style))
 
 
 def _footer(record: WatchRecord, around: ViewExtras, width: int) -> list[Text]:
     """Return what is counted, the last answer, and the keys; digits disturb a simulated plant."""
-    offered = [
-        f"{digit} {commands.printable(one.get('text'))}"
-        for digit, one in enumerate(record.features, 1)
-    ]
+    named = enumerate(record.features, 1) if around.plant else ()
+    offered = [f"{digit} {printable(one.get('text'))}" for digit, one in named]
     plant = [f"simulated plant: {offered[0]}", *offered[1:]] if offered else []
     return [
         *(Text(line, DIM) for line in flow(_health(record), width)),
-        Text(f" {commands.printable(record.answer)}", "bold"),
-        *(Text(line, DIM) for line in flow(around.keys, width)),
-        *(Text(line, DIM) for line in (flow(plant, width) if around.plant else ())),
+        Text(f" {printable(record.answer)}", "bold"),
+        *(Text(line, DIM) for line in (*flow(around.keys, width), *flow(plant, width))),
     ]
 
 
 def _text(value: object) -> Text:
-    return Text(commands.printable(value))
+    return Text(printable(value))
 
 
 def _value(value: object, unit: str) -> str:
-    return f"{figure(commands.number(value))} {unit}".rstrip()
+    return f"{figure(number(value))} {unit}".rstrip()
 
 
 def _range(limits: Any) -> str:  # noqa: ANN401 - a part of a payload
     if not isinstance(limits, list) or len(limits) != 2:
         return ""
-    low, high = ("" if one is None else f"{commands.number(one):g}" for one in limits)
+    low, high = ("" if one is None else f"{number(one):g}" for one in limits)
     return f"{low}…{high}"
