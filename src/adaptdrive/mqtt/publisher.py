@@ -99,17 +99,14 @@ LIMIT = 10_000
 class Outbox(reports.Queue[bytes]):
     """A queue of payloads, each of which stays until the broker has it."""
 
-    def __init__(
-        self, recalled: Iterable[bytes], note_sent: Callable[[], None], limit: int = LIMIT
-    ) -> None:
+    def __init__(self, recalled: Iterable[bytes], note_sent: Callable[[], None]) -> None:
         """Begin with what an earlier run could not send.
 
         Args:
             recalled: Payloads, the oldest first.
             note_sent: Has the log know that the broker has the oldest one.
-            limit: Most payloads that wait.
         """
-        super().__init__(limit)
+        super().__init__(LIMIT)
         self._note_sent = note_sent
         for body in recalled:
             self.put(body)

@@ -258,7 +258,8 @@ class MqttService:
         self._name = connection.ClientName(
             f"adaptdrive-{drive}", surroundings.monotonic, alarm, host.trip
         )
-        self._link = self._build_link(settings)
+        will = Will(self._topics.availability, contract.OFFLINE, qos=1, retain=True)
+        self._link = connection.BrokerLink(settings, self._name, will, surroundings.uniform)
 
     def _build_desk(self, hub: reports.Hub) -> desk.Desk:
         around = self._around
@@ -271,14 +272,6 @@ class MqttService:
             report=hub.publish,
             kept=lambda: around.kept(COMMAND_PATIENCE_S),
             shutting_down=lambda: self._board.shutting_down,
-        )
-
-    def _build_link(self, settings: Mqtt) -> connection.BrokerLink:
-        return connection.BrokerLink(
-            settings,
-            self._name,
-            Will(self._topics.availability, contract.OFFLINE, qos=1, retain=True),
-            self._around.uniform,
         )
 
     async def run(self) -> None:

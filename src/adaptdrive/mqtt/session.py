@@ -92,7 +92,7 @@ class BrokerSession:
             await self._publish_state()
             if announcement is not None:
                 topic, payload = announcement
-                await self.client.publish(topic, contract.encode(payload), qos=1, retain=True)
+                await self._leave(topic, contract.encode(payload))
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self.client.lost(), name="mqtt connection")
                 for name, step, pause_s in self._work():
@@ -104,7 +104,8 @@ class BrokerSession:
     def _work(self) -> Iterator[tuple[str, Step, float]]:
         """Yield what is done again and again, and the pause after each time."""
         intake, topics = self.intake, self.topics
-        yield "availability", self._publish_online, ONLINE_EVERY_S
+        online = partial(self._leave, topics.availability, contract.ONLINE)
+        yield "availability", online, ONLINE_EVERY_S
         yield "replies", self._answer_command, PAUSE_S
         yield "stops", self._answer_stop, PAUSE_S
         yield "state", self._send_state, 0.0
@@ -139,8 +140,9 @@ class BrokerSession:
         elif lost and not self._commands_lost:
             self.intake.report("broker", Severity.INFO, "commands arrive again")
 
-    async def _publish_online(self) -> None:
-        await self.client.publish(self.topics.availability, contract.ONLINE, qos=1, retain=True)
+    async def _leave(self, topic: str, payload: bytes) -> None:
+        """Publish a message that the broker keeps."""
+        await self.client.publish(topic, payload, qos=1, retain=True)
 
     async def _subscribe(self) -> None:
         """Subscribe; log what is refused, and report it where no command arrives without it."""
@@ -167,23 +169,20 @@ class BrokerSession:
 
     async def _publish_state(self) -> None:
         if (message := self.intake.board.message) is not None:
-            await self.client.publish(
-                self.topics.state, contract.encode(message), qos=1, retain=True
-            )
+            await self._leave(self.topics.state, contract.encode(message))
 
     def _receive(self, message: Message) -> None:
-        if message.topic.value == self.topics.probe and message.payload == self._token:
-            self._arrived.set()
-            return
-        if message.topic.value == self.topics.drive_telemetry:
-            self.name.note_other_publisher()
-            return
-        if message.topic.value == self.topics.ask_history:
-            self._asked.set()
-            return
-        verb = self.topics.verb(message.topic.value)
-        command = self.desk.receive(verb, bytes(message.payload), retained=message.retain)
-        (self._commands if command.stopped is None else self._stops).put(command)
+        match message.topic.value:
+            case self.topics.probe if message.payload == self._token:
+                self._arrived.set()
+            case self.topics.drive_telemetry:
+                self.name.note_other_publisher()
+            case self.topics.ask_history:
+                self._asked.set()
+            case topic:
+                verb, payload = self.topics.verb(topic), bytes(message.payload)
+                command = self.desk.receive(verb, payload, retained=message.retain)
+                (self._commands if command.stopped is None else self._stops).put(command)
 
     async def _answer_command(self) -> None:
         reply = await self.desk.ask(await self._commands.take_oldest())
@@ -200,7 +199,7 @@ class BrokerSession:
 
     async def _clear_retained_stop(self) -> None:
         """Delete a stop that the broker would deliver again at each connection."""
-        await self.client.publish(self.topics.stop, b"", qos=1, retain=True)
+        await self._leave(self.topics.stop, b"")
         self.intake.report(
             "command",
             Severity.WARNING,
@@ -267,6 +266,4 @@ class BrokerSession:
                     await self._send_oldest_event()
         with suppress(MqttError, TimeoutError):
             async with asyncio.timeout(OFFLINE_S):
-                await self.client.publish(
-                    self.topics.availability, contract.OFFLINE, qos=1, retain=True
-                )
+                await self._leave(self.topics.availability, contract.OFFLINE)
