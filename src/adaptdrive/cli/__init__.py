@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     unblock_signals()
     words = sys.argv[1:] if arguments is None else list(arguments)
-    return carry_out("adaptdrive", _daemon(words) or _parsed_command(words), words)
+    return carry_out("adaptdrive", _command(words), words)
 
 
 def carry_out(
@@ -76,12 +76,14 @@ def carry_out(
     return flushed(outcome if isinstance(outcome, int) else 0, program)
 
 
-def _daemon(words: Sequence[str]) -> Callable[[], object] | None:
-    """Return the daemon for `run FILE`, which starts without what understands other words."""
+def _command(words: Sequence[str]) -> Callable[[], object]:
+    """Return what the words ask for; `run FILE` starts without what understands other words."""
     match words:
         case ["run", file] if not file.startswith("-"):
             return lambda: run(Path(file))
-    return None
+    from adaptdrive.cli.options import build_app, parsed_command  # noqa: PLC0415 - see above
+
+    return parsed_command(build_app(), words)
 
 
 def run(config: Path, /) -> int:
@@ -114,12 +116,6 @@ def _leave_stuck_threads(status: int) -> None:
                 os._exit(status)
 
 
-def _parsed_command(words: Sequence[str]) -> Callable[[], object]:
-    from adaptdrive.cli.options import build_app, parsed_command  # noqa: PLC0415 - see above
-
-    return parsed_command(build_app(), words)
-
-
 # Signals and standard files as a process needs them, whatever its starter has left.
 
 
@@ -129,7 +125,9 @@ def open_standard_files() -> None:
     Otherwise a bus or a database would get that number, and what other code prints would end in it.
     """
     for number in (_INPUT, _OUTPUT, _ERRORS):
-        if not _is_open(number):
+        try:
+            os.fstat(number)
+        except OSError:
             os.open(os.devnull, os.O_RDWR)  # the kernel gives the lowest free number
     sys.stdin = sys.stdin or _stream(_INPUT, "r")
     sys.stdout = sys.stdout or _stream(_OUTPUT, "w")
@@ -234,14 +232,6 @@ def _escaped(problem: UnicodeError) -> tuple[str | bytes, int]:
     problem.end = problem.start + 1
     kept = "\udc80" <= problem.object[problem.start] <= "\udcff"
     return codecs.lookup_error("surrogateescape" if kept else "backslashreplace")(problem)
-
-
-def _is_open(number: int) -> bool:
-    try:
-        os.fstat(number)
-    except OSError:
-        return False
-    return True
 
 
 def _stream(

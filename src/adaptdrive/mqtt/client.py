@@ -172,10 +172,10 @@ async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[
     async with conversation(broker, drive) as client:
         await client.subscribe(_telemetry_of(topics))
         async for message in client.messages:
-            content = json_object(bytes(message.payload))
+            _, name, content = _read(message)
             # what the broker has kept is of an earlier time
             if content is not None and not message.retain:
-                yield message.topic.value.rpartition("/")[2], content
+                yield name.rpartition("/")[2], content
 
 
 async def read_site(broker: Mqtt, timeout_s: float) -> dict[str, DriveStatus]:
@@ -224,18 +224,14 @@ async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str
     async with conversation(broker, drive) as client:
         await client.subscribe([(name, 1) for name in (*names, topics.history)])
         await client.subscribe(topics.availability, qos=1)
-        truth = contract.simulator_topic(drive, contract.TRUTH)
-        await client.subscribe(truth)
+        await client.subscribe(contract.simulator_topic(drive, contract.TRUTH))
         await client.publish(topics.ask_history, b"", qos=1)
         async for message in client.messages:
-            name, payload = topics.name(message.topic.value), bytes(message.payload)
-            if message.retain and message.topic.value == topics.drive_telemetry:
-                continue  # kept by the broker, of an earlier time
-            if message.topic.value == truth:
-                yield SIMULATOR, json_object(payload) or {}
-            elif name == "availability":
-                yield name, {name: payload.decode("utf-8", "replace")}
-            elif (content := json_object(payload)) is not None:
+            _, name, content = _read(message)
+            if name == contract.TRUTH:
+                yield SIMULATOR, content or {}
+            # telemetry that the broker has kept is of an earlier time
+            elif content is not None and not (message.retain and name == "telemetry/drive"):
                 yield name, content
 
 
@@ -251,20 +247,26 @@ async def _listen(client: Client, site: dict[str, DriveStatus], enough: Callable
 
 
 def _note(message: Message, site: dict[str, DriveStatus]) -> None:
-    topic, payload = message.topic.value, bytes(message.payload)
-    _, drive, *_ = topic.split("/")
-    if _DRIVE.fullmatch(drive) is None:
+    drive, name, content = _read(message)
+    if content is None or _DRIVE.fullmatch(drive) is None:
         return
-    topics, status = contract.Topics(drive), site.setdefault(drive, DriveStatus())
-    if topic == topics.availability:
-        status.availability = payload.decode("utf-8", "replace")
-    elif (content := json_object(payload)) is None:
-        return
-    elif topic == topics.state:
+    status = site.setdefault(drive, DriveStatus())
+    if name == "availability":
+        status.availability = content[name]
+    elif name == "state":
         status.state = content
     else:
-        status.telemetry[topic.rpartition("/")[2]] = content
+        status.telemetry[name.rpartition("/")[2]] = content
         status.live = status.live or not message.retain
+
+
+def _read(message: Message) -> tuple[str, str, dict[str, Any] | None]:
+    """Return the drive of a message, its topic below that, and what it holds if that is JSON."""
+    _, drive, name = message.topic.value.split("/", 2)
+    payload = bytes(message.payload)
+    if name == "availability":
+        return drive, name, {name: payload.decode("utf-8", "replace")}
+    return drive, name, json_object(payload)
 
 
 # Operators' commands and disturbances: sent to one drive, and its reply.

@@ -254,10 +254,6 @@ class Topics:
         """The verb that a command topic names, known or not."""
         return topic.removeprefix(self.command("")[:-1]).removeprefix("/")
 
-    def name(self, topic: str) -> str:
-        """Return a topic of the drive without the drive."""
-        return topic.removeprefix(self._root)
-
 
 TRUTH, DISTURB, REPLY = "truth", "disturb", "reply"
 
