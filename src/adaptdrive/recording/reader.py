@@ -46,17 +46,12 @@ class Session:
     @cached_property
     def ticks(self) -> pa.Table:
         """Fast ticks, all of them in memory."""
-        return self._table(session.TableName.TICKS)
+        return self.table(session.TableName.TICKS)
 
-    @cached_property
-    def slow(self) -> pa.Table:
-        """Slow steps."""
-        return self._table(session.TableName.SLOW)
-
-    @cached_property
-    def sensors(self) -> pa.Table:
-        """Values of the sensor buses."""
-        return self._table(session.TableName.SENSORS)
+    def table(self, name: str) -> pa.Table:
+        """Return a table, all of it in memory; raises as `batches`."""
+        schema = tables.table_schema(name, self.info)
+        return pa.Table.from_batches(list(self.batches(name)), schema)
 
     def batches(self, table: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
         """Yield the rows of a table a batch at a time.
@@ -105,11 +100,6 @@ class Session:
         if columns is not None:
             schema = pa.schema([schema.field(name) for name in columns])
         return [segment.rows(schema) for segment in segments(self.path, self.info, table)]
-
-    def _table(self, table: str) -> pa.Table:
-        return pa.Table.from_batches(
-            list(self.batches(table)), tables.table_schema(table, self.info)
-        )
 
 
 def session_notes(

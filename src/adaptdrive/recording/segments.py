@@ -74,11 +74,6 @@ class Segment:
     logged: tuple[journal_files.LogFile, ...] = ()
 
     @property
-    def closed(self) -> bool:
-        """True once it is a Parquet file, perhaps since it was listed."""
-        return not self.logged or self.path.exists()
-
-    @property
     def key(self) -> str:
         """Name of its column that only ever grows."""
         return KINDS[self.table][2]
@@ -93,7 +88,7 @@ class Segment:
         Raises:
             RecordingError: The file is damaged, or holds another table.
         """
-        if self.closed:
+        if not self.logged or self.path.exists():  # perhaps since it was listed
             yield from read_parquet(self.path, schema)
         else:
             yield from logged_batches(self.logged, self.table, schema, losses)

@@ -42,7 +42,7 @@ def test_a_sensor_that_fails_trips_the_drive_and_its_return_lets_it_be_reset(
         told = [heard.content["detail"] for heard in site.ear.on("event")]
         assert any(detail.startswith("sensor bus thermocouples: modbus-rtu") for detail in told)
     assert site.stop_daemon() == 0
-    assert read_session(site.session_folder()).sensors.num_rows > 10
+    assert read_session(site.session_folder()).table("sensors").num_rows > 10
 
 
 def test_without_its_sensors_the_daemon_starts_waits_and_does_not_enable(

@@ -37,7 +37,7 @@ def test_the_load_behind_a_session_is_found(found: SessionLoad) -> None:
 
 
 def test_the_on_line_estimate_stands_beside_it(found: SessionLoad, session_path: Path) -> None:
-    last = read_session(session_path).slow["estimates"].to_pylist()[-1][0]
+    last = read_session(session_path).table("slow")["estimates"].to_pylist()[-1][0]
     assert found.online["gain"].value == last["value"]
     text = as_text(found)
     assert f"{last['value']:.5g}" in text

@@ -118,7 +118,7 @@ def test_ticks_come_back_to_the_last_bit(ticks: list[TickReport], split: int) ->
 def test_slow_steps_come_back_to_the_last_bit(slow: list[LoadReport]) -> None:
     with tempfile.TemporaryDirectory() as name:
         record_messages(Path(name), Header(INFO, ""), make_batch([], slow, last=True))
-        rows = read_session(Path(name)).slow.to_pylist()
+        rows = read_session(Path(name)).table("slow").to_pylist()
     for row, report in zip(rows, slow, strict=True):
         snapshot, decision = report.snapshot, report.decision
         assert row["k"] == snapshot.k
