@@ -10,7 +10,7 @@ import math
 from dataclasses import replace
 
 from adaptdrive.config import Configuration, root
-from adaptdrive.config.load import BathSection, BatterySection, LoadSection, MotorSection
+from adaptdrive.config.load import BathModel, BathSection, BatterySection, LoadSection, MotorSection
 from adaptdrive.control.design import pole_placement
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads import bath, motor
@@ -36,7 +36,7 @@ def build_load(configuration: Configuration) -> Load:
             lag_s = short_lag_s(configuration) or model.tau_filter_s
             return motor.motor_load(model.gain, model.tau_motor_s, lag_s)
         case BathSection(model=model):
-            return bath.bath_load(**dict(model))
+            return _bath_load(model, model.lag_s, model.delay_s)
         case BatterySection(model=model):
             return battery_load(
                 model.turns_ratio,
@@ -65,9 +65,20 @@ def candidate_loads(configuration: Configuration) -> list[Load]:
     """The structures that a record of the load may show: a bath with one lag or with two."""
     if not isinstance(configuration.load, BathSection):
         return [build_load(configuration)]
-    model = dict(configuration.load.model) | {"delay_s": 0.0}
-    lags_s = (0.0, model["lag_s"] or model["tau_s"])
-    return [bath.bath_load(**model | {"lag_s": lag_s}) for lag_s in lags_s]
+    model = configuration.load.model
+    return [_bath_load(model, lag_s, 0.0) for lag_s in (0.0, model.lag_s or model.tau_s)]
+
+
+def _bath_load(model: BathModel, lag_s: float, delay_s: float) -> Load:
+    return bath.bath_load(
+        resistance_K_per_W=model.resistance_K_per_W,
+        tau_s=model.tau_s,
+        turns_ratio=model.turns_ratio,
+        droop_Ohm=model.droop_Ohm,
+        heater_Ohm=model.heater_Ohm,
+        lag_s=lag_s,
+        delay_s=delay_s,
+    )
 
 
 def _charging(battery: BatterySection) -> Charging:

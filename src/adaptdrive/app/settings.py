@@ -99,7 +99,7 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
             lag_ticks=_lag_ticks(configuration),
         ),
         learning=_learning(configuration) if exact else paper_learning(configuration),
-        supervision=_jacket(configuration)
+        supervision=_supervision(configuration)
         if exact
         else SupervisionLimits(_periods(configuration, warm_up_s)),
         probing=_probing(configuration),
@@ -166,9 +166,13 @@ def _learning(configuration: Configuration) -> EstimatorSettings:
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
     physical = METHODS[estimator.method].physical
     directional = estimator.alert and physical
-    converted = {"forgetting", "initial_covariance", "bias", "settle_s"}
     return EstimatorSettings(
-        **estimator.model_dump(exclude=converted),
+        tau_lambda_s=estimator.tau_lambda_s,
+        dead_band=estimator.dead_band,
+        gate=estimator.gate,
+        alert=estimator.alert,
+        initial_state=estimator.initial_state,
+        method=estimator.method,
         forgetting=estimator.forgetting or FORGETTING,
         initial_covariance=_initial_covariance(configuration),
         settle_periods=_periods(configuration, estimator.settle_s),
@@ -191,12 +195,19 @@ def _initial_covariance(configuration: Configuration) -> float:
     return _OPEN if METHODS[estimator.method].physical else PAPER_COVARIANCE
 
 
-def _jacket(configuration: Configuration) -> SupervisionLimits:
+def _supervision(configuration: Configuration) -> SupervisionLimits:
     supervisor, load = configuration.supervisor, configuration.load
     reference_range, limit = load.reference_max - load.reference_min, supervisor.error_limit
-    converted = {"warm_up_s", "saturated_s", "response_s", "error_limit", "response_distance"}
     return SupervisionLimits(
-        **supervisor.model_dump(exclude=converted),
+        ratio_min=supervisor.ratio_min,
+        ratio_max=supervisor.ratio_max,
+        patience_periods=supervisor.patience_periods,
+        damping_min=supervisor.damping_min,
+        spread_max=supervisor.spread_max,
+        residual_margin=supervisor.residual_margin,
+        dwell_periods=supervisor.dwell_periods,
+        blend_periods=supervisor.blend_periods,
+        confidence=supervisor.confidence,
         warm_up_periods=_periods(configuration, supervisor.warm_up_s),
         saturated_periods=_periods(configuration, supervisor.saturated_s),
         error_limit=ERROR_SHARE * reference_range if limit is None else limit,
