@@ -18,6 +18,7 @@ from adaptdrive.util.errors import ConfigurationError
 from adaptdrive.util.files import replace_result
 
 if TYPE_CHECKING:
+    from adaptdrive.commissioning.client import Guide
     from adaptdrive.commissioning.evaluation import Commissioned
 
 
@@ -257,7 +258,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
         digest = _write(path, commissioned) if write or apply else ""
         if apply or (not write and _agreed_to("\napply and go on in adaptive? [y/N] ")):
             digest = digest or _write(path, commissioned)
-            _put_to_use(drive, commissioned, digest, contact)
+            _put_to_use(guide, commissioned, digest)
         else:
             _print_next(drive, run.reached(commissioned), path if write else None)
     return 0
@@ -272,13 +273,12 @@ def _write(path: Path, commissioned: Commissioned) -> str:
     return digest
 
 
-def _put_to_use(
-    drive: str, commissioned: Commissioned, digest: str, contact: options.Contact
-) -> None:
+def _put_to_use(guide: Guide, commissioned: Commissioned, digest: str) -> None:
     from adaptdrive.commissioning.run import put_to_use, reached  # noqa: PLC0415
 
-    setpoint, unit = reached(commissioned), commissioned.before.load.output_unit
-    waited_s = asyncio.run(put_to_use(contact.settings, drive, digest, setpoint, contact.timeout))
+    drive, unit = guide.drive, commissioned.before.load.output_unit
+    setpoint = reached(commissioned)
+    waited_s = asyncio.run(put_to_use(guide, digest, setpoint))
     print(
         f"{drive} holds {setpoint:.4g} {unit} in mode adaptive, in force after {waited_s:.1f} s\n\n"
         f"next:\n  adaptdrive setpoint {drive} VALUE\n  adaptdrive watch {drive}\n"

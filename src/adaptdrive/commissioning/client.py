@@ -14,8 +14,15 @@ from typing import Any
 from adaptdrive.commissioning.course import Samples
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt.client import NoAnswerError, read_status, send_command, telemetry
+from adaptdrive.mqtt.client import (
+    DriveStatus,
+    NoAnswerError,
+    read_status,
+    send_command,
+    telemetry,
+)
 from adaptdrive.mqtt.commands import number, part
+from adaptdrive.mqtt.contract import Reply
 from adaptdrive.tui.terminal import whole
 from adaptdrive.util.errors import AdaptdriveError, CommissionError, first_error
 
@@ -210,11 +217,11 @@ class Guide:
         """
         before = await self._standby()
         try:
-            await self._ask("mode", "manual")
-            await self._ask("enable")
+            await self.ask("mode", "manual")
+            await self.ask("enable")
             await self._await_running(coasting=True)
             # a load at rest coasts until it is asked for a voltage
-            await self._ask("voltage", experiment.course.voltage_V, hold_s=HOLD_S)
+            await self.ask("voltage", experiment.course.voltage_V, hold_s=HOLD_S)
             await self._await_running(coasting=False)
             await self._follow(experiment, show)
         finally:
@@ -257,7 +264,7 @@ class Guide:
         """Ask for the last voltage whenever it changes, and before its time is over."""
         while True:
             self._changed.clear()
-            await self._ask("voltage", self._wanted_V, hold_s=HOLD_S)
+            await self.ask("voltage", self._wanted_V, hold_s=HOLD_S)
             with suppress(TimeoutError):
                 async with asyncio.timeout(_REFRESH_S):
                     await self._changed.wait()
@@ -284,7 +291,7 @@ class Guide:
         """Bring the drive into its safe state, and its mode back."""
         try:
             async with asyncio.timeout(HOLD_S):
-                await self._ask("disable")
+                await self.ask("disable")
         except (AdaptdriveError, TimeoutError) as problem:
             why = str(problem) or f"no reply within {HOLD_S:g} s"
             self.unstopped = (
@@ -293,7 +300,7 @@ class Guide:
             )
             return
         with suppress(AdaptdriveError):
-            await self._ask("mode", mode)
+            await self.ask("mode", mode)
 
     async def _standby(self) -> dict[str, Any]:
         """Return the state, which must be standby: another operator may have enabled the drive."""
@@ -306,17 +313,38 @@ class Guide:
         return state
 
     async def _state(self) -> dict[str, Any]:
-        status = await read_status(self._broker, self.drive, self._timeout_s)
+        status = await self.status()
         if not status.online or status.state is None:
             raise NoAnswerError(self.drive, "it is not online")
         return status.state
 
-    async def _ask(self, verb: str, value: object = None, **fields: object) -> None:
-        reply = await send_command(self._broker, self.drive, verb, value, self._timeout_s, **fields)
+    async def status(self) -> DriveStatus:
+        """Return state and telemetry of the drive.
+
+        Raises:
+            NoAnswerError: No state in time, or no broker.
+        """
+        return await read_status(self._broker, self.drive, self._timeout_s)
+
+    async def send(self, verb: str, value: object = None, **fields: object) -> Reply:
+        """Send a command, with a value and further fields, and return the reply.
+
+        Raises:
+            NoAnswerError: No reply in time, or no broker.
+        """
+        return await send_command(self._broker, self.drive, verb, value, self._timeout_s, **fields)
+
+    async def ask(self, verb: str, value: object = None, **fields: object) -> None:
+        """Send a command that the drive must accept.
+
+        Raises:
+            CommissionError: The drive refuses it, or is off when it is asked for a voltage.
+            NoAnswerError: As above.
+        """
+        reply = await self.send(verb, value, **fields)
         if reply.accepted:
             return
-        state = await self._state()
-        if verb == "voltage" and state.get("state") not in _ENERGISED:
+        if verb == "voltage" and (state := await self._state()).get("state") not in _ENERGISED:
             raise CommissionError(_end(self.drive, state))
         raise CommissionError(f"{self.drive} refused {verb}: {reply.reason}")
 

@@ -15,7 +15,6 @@ from rich.table import Table
 from rich.text import Text
 
 from adaptdrive.commissioning import client, course
-from adaptdrive.commissioning.course import Target
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.tui import record, terminal, view
 from adaptdrive.util.errors import CommissionError
@@ -40,33 +39,21 @@ class Picture:
 
     Attributes:
         drive: Name of the drive.
-        target: Names, units and limits.
-        phase: Present phase; None before the first reading.
-        progress: Share of it, where it is known.
-        remaining_s: Time to the end of the experiment, NaN before it is known.
-        voltage_V: V_c that is asked for.
+        experiment: The experiment.
         points: Output and the other signals over time.
         marks: Begin of each phase.
     """
 
     drive: str
-    target: Target
-    phase: course.Phase | None = None
-    progress: float = 0.0
-    remaining_s: float = math.nan
-    voltage_V: float = math.nan
+    experiment: LoadExperiment
     points: deque[record.PlotPoint] = field(default_factory=lambda: deque(maxlen=_POINTS))
     marks: deque[record.Mark] = field(default_factory=lambda: deque(maxlen=50))
 
-    def take(
-        self, experiment: LoadExperiment, reading: client.FastReading, voltage_V: float
-    ) -> None:
-        """Take a reading and the voltage that follows from it."""
-        if experiment.course.phase is not self.phase:
-            self.marks.append((reading.time_s, _SHORT[experiment.course.phase]))
-        self.phase, self.progress = experiment.course.phase, experiment.course.progress
-        self.voltage_V, self.remaining_s = voltage_V, experiment.course.remaining_s
-        outcome = experiment.outcome
+    def take(self, reading: client.FastReading) -> None:
+        """Take a reading that the experiment has taken."""
+        phase, outcome = _SHORT[self.experiment.course.phase], self.experiment.outcome
+        if not self.marks or self.marks[-1][1] != phase:
+            self.marks.append((reading.time_s, phase))
         rest = reading.output if outcome is None else outcome.rest
         self.points.append(record.PlotPoint(reading.time_s, rest, reading.output, "manual"))
 
@@ -84,7 +71,7 @@ def screen(picture: Picture, size: tuple[int, int]) -> Layout:
     since_s = now_s - points[0].time_s if points else 0.0
     window_s = min(max(since_s, _SHORTEST_WINDOW_S), _LONGEST_WINDOW_S)
     canvas = (width - 1, height - _HEADER_ROWS - 2)
-    target = picture.target
+    target = picture.experiment.course.target
     content = record.plot(points, list(picture.marks), now_s, window_s, canvas)
     layout = Layout()
     layout.split_column(
@@ -96,36 +83,35 @@ def screen(picture: Picture, size: tuple[int, int]) -> Layout:
 
 
 def _header(picture: Picture, points: list[record.PlotPoint]) -> Table:
-    phase = "the drive starts" if picture.phase is None else str(picture.phase)
-    output = points[-1].output if points else math.nan
-    given = picture.target.given
-    asked = f"{given.symbol} {view.figure(picture.voltage_V)} {given.unit}"
-    values = f"{asked}   {picture.target.name} {view.figure(output)}"
+    now, started = picture.experiment.course, bool(points)
+    target, given = now.target, now.target.given
+    asked = f"{given.symbol} {view.figure(now.voltage_V if started else math.nan)} {given.unit}"
+    output = f"{target.name} {view.figure(points[-1].output if started else math.nan)}"
+    phase = str(now.phase) if started else "the drive starts"
     grid = Table.grid(expand=True)
     grid.add_row(view.cut(Text.assemble((f" {picture.drive} ", "bold reverse"), f" {phase}")))
     line = Table.grid(padding=(0, 1))
-    bar = ProgressBar(total=1.0, completed=picture.progress, width=_BAR_WIDTH)
-    line.add_row("", bar, Text(f"{_ahead(picture)}   {values} {picture.target.unit}"))
+    bar = ProgressBar(total=1.0, completed=now.progress, width=_BAR_WIDTH)
+    line.add_row("", bar, Text(f"{_ahead(now)}   {asked}   {output} {target.unit}"))
     grid.add_row(line)
     return grid
 
 
-def _ahead(picture: Picture) -> str:
+def _ahead(now: course.ExperimentCourse) -> str:
     """Return the share of the phase, and the time to the end where it is known."""
-    share = f"{100.0 * picture.progress:3.0f} %"
-    if math.isnan(picture.remaining_s):
+    share = f"{100.0 * now.progress:3.0f} %"
+    if math.isnan(now.remaining_s):
         return share
-    minutes, seconds = divmod(round(picture.remaining_s), 60)
+    minutes, seconds = divmod(round(now.remaining_s), 60)
     return f"{share}, {minutes}:{seconds:02d} left"
 
 
-async def carry_out(guide: client.Guide, experiment: LoadExperiment, picture: Picture) -> None:
+async def carry_out(guide: client.Guide, picture: Picture) -> None:
     """Run an experiment and show it: as a picture where a terminal takes one, else by lines.
 
     Args:
         guide: The drive.
-        experiment: The experiment.
-        picture: Takes what is shown.
+        picture: Of the experiment.
 
     Raises:
         AdaptdriveError: The experiment cannot continue, or was ended.
@@ -133,23 +119,23 @@ async def carry_out(guide: client.Guide, experiment: LoadExperiment, picture: Pi
     try:
         with terminal.ended_once():
             if sys.stdin.isatty() and sys.stdout.isatty():
-                await _with_picture(guide, experiment, picture)
+                await _with_picture(guide, picture)
             else:
-                await guide.carry_out(experiment, phase_lines(experiment))
+                await guide.carry_out(picture.experiment, phase_lines(picture.experiment))
     finally:
         if guide.unstopped:
             sys.stderr.write(f"adaptdrive: {guide.unstopped}\n")
 
 
-async def _with_picture(guide: client.Guide, experiment: LoadExperiment, picture: Picture) -> None:
-    lines = phase_lines(experiment)
+async def _with_picture(guide: client.Guide, picture: Picture) -> None:
+    lines = phase_lines(picture.experiment)
 
     def show(reading: client.FastReading, voltage_V: float) -> None:
-        picture.take(experiment, reading, voltage_V)
+        picture.take(reading)
         if drawing.done():
             lines(reading, voltage_V)
 
-    work = asyncio.create_task(guide.carry_out(experiment, show))
+    work = asyncio.create_task(guide.carry_out(picture.experiment, show))
     drawing = asyncio.create_task(terminal.draw(functools.partial(screen, picture)))
     drawing.add_done_callback(_explain)
     pressed = asyncio.Event()

@@ -1,7 +1,6 @@
 """Commissioning of a drive, or of a plant of the user, from the first look to the new settings."""
 
 import asyncio
-import functools
 import math
 import os
 import time
@@ -13,12 +12,11 @@ from adaptdrive.analysis import closed_loop
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.process import LockedError, locked
 from adaptdrive.commissioning import client, evaluation, picture, proposal
-from adaptdrive.commissioning.course import Samples, build_target
+from adaptdrive.commissioning.course import Samples, Target, build_target
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.config import root, services
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
-from adaptdrive.mqtt.client import LIVE_S, DriveStatus, NoAnswerError, read_status, send_command
-from adaptdrive.mqtt.contract import Reply
+from adaptdrive.mqtt.client import LIVE_S, NoAnswerError
 from adaptdrive.tui.terminal import ended_once, print_line, whole
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
 
@@ -29,21 +27,14 @@ LONGEST_S = 60.0
 
 _GAP_S = 0.3
 
-Send = Callable[..., Awaitable[Reply]]
-"""Sends a command to a drive: verb, value and further fields."""
 
-
-async def put_to_use(
-    broker: services.Mqtt, drive: str, digest: str, setpoint: float, timeout_s: float
-) -> float:
+async def put_to_use(guide: client.Guide, digest: str, setpoint: float) -> float:
     """Have the daemon take the measured load of its file, and hold a set-point in mode adaptive.
 
     Args:
-        broker: The broker.
-        drive: Name of the drive, in standby.
+        guide: Commands the drive, which is in standby.
         digest: Of the file that was written; a daemon with another one refuses.
         setpoint: Set-point, one that the experiment has led the output to.
-        timeout_s: Longest wait for a reply.
 
     Returns:
         Time in seconds until the adaptive controller was in force.
@@ -52,72 +43,64 @@ async def put_to_use(
         AdaptdriveError: The daemon refuses, or the drive does not run; it is off then.
     """
     began_s = time.monotonic()
-    send = functools.partial(send_command, broker, drive, timeout_s=timeout_s)
-    read = functools.partial(read_status, broker, drive, timeout_s)
-    _require_accepted(drive, "reload", await send("reload", None, measured=digest))
+    await guide.ask("reload", measured=digest)
     with ended_once():
         try:
             # the mode energises nothing
-            await _until_none(drive, lambda: _refusal(send, "mode", "adaptive"))
-            await _until_none(drive, lambda: _lack_of_measurement(read))
-            # a repeat could undo a stop
-            _require_accepted(drive, "enable", await send("enable", None))
-            await _until_none(drive, lambda: _refusal(send, "setpoint", setpoint))
-            await _until_none(drive, lambda: _lack_of_control(drive, read))
+            await _until_none(guide, lambda: _refusal(guide, "mode", "adaptive"))
+            await _until_none(guide, lambda: _lack_of_measurement(guide))
+            await guide.ask("enable")  # a repeat could undo a stop
+            await _until_none(guide, lambda: _refusal(guide, "setpoint", setpoint))
+            await _until_none(guide, lambda: _lack_of_control(guide))
         except BaseException:
-            await whole(_stop(drive, send), complete=True)
+            await whole(_stop(guide), complete=True)
             raise
     return time.monotonic() - began_s
 
 
-async def _stop(drive: str, send: Send) -> None:
+async def _stop(guide: client.Guide) -> None:
     try:
-        await send("disable", None)
+        await guide.send("disable")
     except NoAnswerError as silence:
         print_line(
-            f"the stop is unanswered ({silence.problem}): {drive} may run in mode adaptive; look "
-            "at it, and disable it"
+            f"the stop is unanswered ({silence.problem}): {guide.drive} may run in mode adaptive; "
+            "look at it, and disable it"
         )
 
 
-def _require_accepted(drive: str, verb: str, reply: Reply) -> None:
-    if not reply.accepted:
-        raise CommissionError(f"{drive} refused {verb}: {reply.reason}")
-
-
-async def _until_none(drive: str, look: Callable[[], Awaitable[str]]) -> None:
+async def _until_none(guide: client.Guide, look: Callable[[], Awaitable[str]]) -> None:
     """Wait until there is no problem any more: the daemon begins another run."""
     end_s = time.monotonic() + LONGEST_S
     while problem := await look():
         if time.monotonic() > end_s:
-            raise CommissionError(f"{drive} {problem}")
+            raise CommissionError(f"{guide.drive} {problem}")
         await asyncio.sleep(_GAP_S)
 
 
-async def _refusal(send: Send, verb: str, value: object) -> str:
+async def _refusal(guide: client.Guide, verb: str, value: object) -> str:
     """Send a command; return why it is not carried out, empty where it is accepted."""
     try:
-        reply = await send(verb, value)
+        reply = await guide.send(verb, value)
     except NoAnswerError as silence:
         return f"refused {verb} for {LONGEST_S:g} s: {silence.problem}"
     return "" if reply.accepted else f"refused {verb} for {LONGEST_S:g} s: {reply.reason}"
 
 
-async def _lack_of_measurement(read: Callable[[], Awaitable[DriveStatus]]) -> str:
+async def _lack_of_measurement(guide: client.Guide) -> str:
     """Return whether the new run has no measurement yet, without which it refuses `enable`."""
-    status = await read()
+    status = await guide.status()
     age_s = status.telemetry.get("drive", {}).get("age_s")
     measured = status.live and age_s is not None and age_s < LIVE_S
     return "" if measured else f"has no measurement after {LONGEST_S:g} s"
 
 
-async def _lack_of_control(drive: str, read: Callable[[], Awaitable[DriveStatus]]) -> str:
+async def _lack_of_control(guide: client.Guide) -> str:
     """Return why the adaptive controller does not run the drive yet."""
-    state = (await read()).state or {}
+    state = (await guide.status()).state or {}
     if state.get("controller") == "adaptive" and state.get("state") == "running":
         return ""
     if state.get("trip"):
-        raise CommissionError(f"{drive} is {state.get('state')}: {state['trip']}")
+        raise CommissionError(f"{guide.drive} is {state.get('state')}: {state['trip']}")
     return f"is not in adaptive control: {state.get('reason')}"
 
 
@@ -152,8 +135,7 @@ def announcement(path: Path, drive: str, move_share: float, patience_s: float | 
     Raises:
         ConfigurationError: The configuration is not valid, or that of another drive.
     """
-    configuration = _configuration_of(drive, read_text(path), path)
-    target = build_target(configuration, move_share, patience_s)
+    _, _, target = _prepared(path, drive, move_share, patience_s)
     given, onset = target.given, "" if target.battery is None else ", until a current flows,"
     return (
         f"{drive} is enabled in mode manual. {given.symbol} rises from "
@@ -178,23 +160,27 @@ async def commission(
     Raises:
         AdaptdriveError: The drive refused or tripped, or the load cannot be identified.
     """
-    text = read_text(path)
-    configuration = _configuration_of(guide.drive, text, path)
-    target = build_target(configuration, move_share, patience_s)
+    text, configuration, target = _prepared(path, guide.drive, move_share, patience_s)
     standby = await guide.watch_standby(_WATCHED_S)
     sensor = evaluation.judge_sensor(standby, configuration, target.move)
     experiment = LoadExperiment(target)
-    await picture.carry_out(guide, experiment, picture.Picture(guide.drive, target))
+    await picture.carry_out(guide, picture.Picture(guide.drive, experiment))
     return evaluation.judged(sensor, experiment, configuration, text, path)
 
 
-def _configuration_of(drive: str, text: str, path: Path) -> root.Configuration:
-    """Return the configuration of a drive; the limits of another one do not hold for it."""
+def _prepared(
+    path: Path, drive: str | None, move_share: float, patience_s: float | None
+) -> tuple[str, root.Configuration, Target]:
+    """Return the text of a configuration, what it says, and the limits of the experiment.
+
+    Those of another drive than the one that is named do not hold for it; None is any drive.
+    """
+    text = read_text(path)
     configuration = examine_text(text, path)
-    if configuration.drive.name != drive:
+    if drive is not None and configuration.drive.name != drive:
         flaw = Flaw("drive.name", f"is {configuration.drive.name}, and {drive} was named")
         raise ConfigurationError(path, [flaw])
-    return configuration
+    return text, configuration, build_target(configuration, move_share, patience_s)
 
 
 def write(path: Path, commissioned: evaluation.Commissioned) -> tuple[Path, str]:
@@ -274,9 +260,7 @@ def commission_plant(
     Raises:
         AdaptdriveError: The experiment cannot continue, or does not show the load.
     """
-    text = read_text(path)
-    configuration = examine_text(text, path)
-    target = build_target(configuration, move_share, patience_s)
+    text, configuration, target = _prepared(path, None, move_share, patience_s)
     rig, standby = _Rig(plant, configuration), Samples()
     while rig.time_s < _WATCHED_S:
         standby.append(*rig.sample(target.low_V))

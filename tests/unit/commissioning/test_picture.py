@@ -19,24 +19,23 @@ def drawn(picture: Picture, width: int = 80, height: int = 24) -> str:
     return file.getvalue()
 
 
-def run(picture: Picture, samples: int) -> LoadExperiment:
+def run(picture: Picture, samples: int) -> None:
     """Feed an experiment and its picture with samples of a load."""
-    experiment, load, voltage_V = LoadExperiment(TARGET), lag(0.01, 2.0, noise=0.002), 200.0
+    experiment, load, voltage_V = picture.experiment, lag(0.01, 2.0, noise=0.002), 200.0
     for number in range(1, samples + 1):
         reading = FastReading(number * SAMPLE_S, voltage_V, load(voltage_V), 0.0, bridge=True)
         voltage_V = experiment.take(reading.time_s, reading.boost_voltage_V, reading.output)
-        picture.take(experiment, reading, voltage_V)
+        picture.take(reading)
         if experiment.done:
             break
-    return experiment
 
 
 def test_it_shows_phase_voltage_output_and_the_key_that_ends_it() -> None:
-    picture = Picture("motor", TARGET)
+    picture = Picture("motor", LoadExperiment(TARGET))
     run(picture, 600)
     text = drawn(picture)
     assert " motor  switching the voltage" in text
-    assert f"V_c {picture.voltage_V:.0f} V" in text
+    assert f"V_c {picture.experiment.course.voltage_V:.0f} V" in text
     assert "speed 2." in text
     assert "▼climb" in text
     assert "▼test" in text
