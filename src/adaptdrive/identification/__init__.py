@@ -1,7 +1,7 @@
 """Batch identification of a load from records, and the model that is proposed from it."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -202,18 +202,8 @@ def _battery(
         return np.array([series_Ohm - droop_Ohm, total_Ohm - series_Ohm, relaxation_s])
 
     names = ("internal_Ohm", "relaxation_Ohm", "relaxation_s")
-    values, deviations = _mapped(resistances, identified)
-    return {
-        name: Estimate(value, std)
-        for name, value, std in zip(names, values.tolist(), deviations.tolist(), strict=True)
-    }
-
-
-def _mapped(
-    function: Callable[[Array], Array], identified: result.IdentifiedLoad
-) -> tuple[Array, Array]:
-    """Return a function of the parameters, and its deviations to first order."""
     values = np.array([one.value for one in identified.parameters.values()])
-    slopes = result.slopes_of(function, values, values)
-    spread = slopes @ identified.covariance @ slopes.T
-    return function(values), np.sqrt(np.diag(spread))
+    slopes = result.slopes_of(resistances, values, values)
+    deviations = np.sqrt(np.diag(slopes @ identified.covariance @ slopes.T))
+    estimates = map(Estimate, resistances(values).tolist(), deviations.tolist())
+    return dict(zip(names, estimates, strict=True))

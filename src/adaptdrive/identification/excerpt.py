@@ -154,8 +154,8 @@ def blocks_of(excerpts: Sequence[Excerpt], load: Load, samples: int, lead: int) 
                 fed=np.concatenate(([0.0], np.cumsum(fed - fed[0]))),
                 lead=lead,
                 late=late,
-                outputs=_means(one.output[lost:], samples),
-                charge=_means(charge, samples),
+                outputs=means_of(one.output[lost:], samples),
+                charge=means_of(charge, samples),
                 samples=samples,
                 period_s=samples * one.period_s,
                 rest=float(fed[0]),
@@ -172,7 +172,8 @@ def _late(excerpt: Excerpt, samples: int) -> float:
     return 1.0 if samples == 1 else 0.5
 
 
-def _means(values: Array, samples: int) -> Array:
+def means_of(values: Array, samples: int) -> Array:
+    """Return means over blocks of samples, of the whole ones."""
     count = len(values) // samples
     means: Array = values[: count * samples].reshape(count, samples).mean(axis=1)
     return means
@@ -189,32 +190,26 @@ class Responses:
     """Filters in q^-1 from the input of each block to what the numerator weighs.
 
     Attributes:
-        terms: Numerator of each filter, one for each power of s from m to 0.
-        late_terms: The same for the input of the block before, which acts until the fraction of the
-            dead time is over; None where the input of a block is a mean.
+        terms: Numerator of each filter, one for each power of s from m to 0; first those of the
+            input of the block, then, where that acts late, those of the block before, which acts
+            until the fraction of the dead time is over.
         denominator: The denominator of all.
     """
 
-    terms: Array
-    late_terms: Array | None
+    terms: tuple[Array, ...]
     denominator: Array
 
-    def of(
-        self, inputs: Array, powers: Sequence[int], rest: float = 0.0, late: Array | None = None
-    ) -> Array:
+    def of(self, inputs: Sequence[Array], powers: Sequence[int], rest: float = 0.0) -> Array:
         """Return s^(m-i)/D(s) of an input, a column for each i in `powers`.
 
         Args:
-            inputs: The input above that under which the load rests at the start.
+            inputs: The input above that under which the load rests at the start: of each block,
+                and of the block before each; that is left out where it does not act.
             powers: The i.
-            rest: That input.
-            late: The input of the block before each, for `late_terms`.
+            rest: The input under which it rests.
         """
-        pairs = [(self.terms, inputs)]
-        if self.late_terms is not None and late is not None:
-            pairs.append((self.late_terms, late))
-        made = np.zeros((len(inputs), len(powers)))
-        for terms, fed in pairs:
+        made = np.zeros((len(inputs[0]), len(powers)))
+        for terms, fed in zip(self.terms, inputs, strict=False):
             for column, i in enumerate(powers):
                 steady = rest * terms[i].sum() / self.denominator.sum()
                 made[:, column] += steady + lfilter(terms[i], self.denominator, fed)
@@ -252,7 +247,7 @@ def responses(denominator: Array, period_s: float) -> Responses:
     for _ in range(order):
         course.append(mean @ entry)
         entry = transition @ entry
-    return Responses(_terms(denominator, below, course, 1.0), None, below)
+    return Responses((_terms(denominator, below, course, 1.0),), below)
 
 
 def moment_responses(denominator: Array, period_s: float, fraction: float) -> Responses:
@@ -273,7 +268,7 @@ def moment_responses(denominator: Array, period_s: float, fraction: float) -> Re
         for _ in range(len(denominator) - 1):
             course.append(transition @ course[-1])
         made.append(_terms(denominator, below, course, unit))
-    return Responses(made[0], made[1], below)
+    return Responses(tuple(made), below)
 
 
 def _terms(denominator: Array, below: Array, course: Sequence[Array], unit: float) -> Array:

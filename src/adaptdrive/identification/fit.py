@@ -121,11 +121,11 @@ def columns(problem: Problem, logarithms: Array) -> Array:
     row, first = 0, shared
     for part in problem.parts:
         rows = slice(row, row + len(part.outputs))
-        inputs, late = part.inputs(delay), part.inputs(delay + 1.0)
-        made[rows, : len(problem.powers)] = filters.of(inputs, problem.powers, part.rest, late)
+        inputs = part.inputs(delay), part.inputs(delay + 1.0)
+        made[rows, : len(problem.powers)] = filters.of(inputs, problem.powers, part.rest)
         if problem.drift:
             for degree in range(1, CHARGE_DEGREE + 1):
-                acting = filters.of(part.charge**degree, problem.powers) @ problem.drift
+                acting = filters.of((part.charge**degree,), problem.powers) @ problem.drift
                 made[rows, len(problem.powers) + degree - 1] = acting
         made[rows, shared - 1] = 1.0
         if not part.at_rest:

@@ -22,7 +22,7 @@ def test_block_means_are_those_of_a_fine_simulation(denominator: list[float]) ->
     held = np.append(np.repeat(inputs, fine), inputs[-1])
     filters = responses(np.array(denominator), period_s)
     order = len(denominator) - 1
-    found = filters.of(inputs, range(order + 1))
+    found = filters.of((inputs,), range(order + 1))
     for power in range(order + 1):
         numerator = [1.0 if i == power else 0.0 for i in range(order + 1)]
         system = System(numerator, denominator).state_space()
