@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.commissioning.course import ExperimentCourse, Steps
+from adaptdrive.commissioning.course import ExperimentCourse, Steps, Target
 from adaptdrive.util.errors import CommissionError
 
 # The waits of an experiment: until the load is at rest, and until a battery takes a current.
@@ -130,46 +130,46 @@ _DISTINCT = 1.05
 """Ratio of the two time constants that stand for equal ones: the closed form needs two."""
 
 _SIGMAS = 3.0
+_LOOK_SHARE = 0.01
+"""Time between two predictions, and shortest time constant, as a share of the shortest wait."""
+
+_LONGEST = 60.0
+"""Longest time constant, in shortest waits."""
+
+_LARGEST_GAIN = 4.0
+"""Largest credible gain before anything was measured, over the guess from the limits."""
+
+_FLOOR = 0.01
+"""Least standard deviation of a sample, as a share of the movement: the grid fits no better."""
 
 
 class CredibleLoads:
     """The loads on a grid, fitted to what the experiment has shown."""
 
-    def __init__(
-        self, shortest_s: float, longest_s: float, gain_max: float, deviation_min: float
-    ) -> None:
-        """Make the grid.
+    def __init__(self, target: Target, samples: int, deviation: float) -> None:
+        """Make the grid, and take samples at rest, whose mean is y = 0.
 
         Args:
-            shortest_s: Shortest time constant.
-            longest_s: Longest time constant.
-            gain_max: Largest K that is credible before anything was measured.
-            deviation_min: Least standard deviation of a sample that is believed.
+            target: Limits of the experiment, from which those of the grid follow.
+            samples: Samples at rest.
+            deviation: Standard deviation of one.
         """
+        shortest_s, longest_s = _LOOK_SHARE * target.patience_s, _LONGEST * target.patience_s
         count = math.ceil(math.log(longest_s / shortest_s) / math.log(_RATIO)) + 1
         taus_s = np.geomspace(shortest_s, longest_s, count)
         slow, fast = np.tril_indices(count)
         self._slow_s = np.where(slow == fast, _DISTINCT, 1.0) * taus_s[slow]
         self._fast_s = taus_s[fast]
         self._ratio = self._slow_s / (self._slow_s - self._fast_s)
-        self._gain_max = gain_max
-        self._least_variance = deviation_min * deviation_min
+        self._gain_max = _LARGEST_GAIN * target.first_gain
+        self._least_variance = (_FLOOR * target.move) ** 2
         self._first = np.zeros(len(slow))
         self._second = np.zeros(len(slow))
-        self._count = self._outputs = self._squares = 0.0
+        self._count, self._outputs = float(samples), 0.0
+        self._squares = samples * deviation * deviation
         self._sums = np.zeros((3, len(slow)))
-        self._largest = np.full(len(slow), gain_max)
+        self._largest = np.full(len(slow), self._gain_max)
         self._decays = (0.0, self._first, self._second)
-
-    def rest(self, count: int, deviation: float) -> None:
-        """Take samples at rest, whose mean is y = 0.
-
-        Args:
-            count: Samples.
-            deviation: Standard deviation of one.
-        """
-        self._count += count
-        self._squares += count * deviation * deviation
 
     def take(self, duration_s: float, fed: float, outputs: Array) -> None:
         """Take the samples of a short time.
@@ -247,33 +247,25 @@ class CredibleLoads:
 
 # Bounds of V_c: the movement that the credible loads predict, kept within the band.
 
-LARGEST_GAIN = 4.0
-"""Largest credible gain before anything was measured, over the guess from the limits."""
-
-EDGE = 1.25
+_EDGE = 1.25
 """Predicted movement, in movements, at which V_c is taken back."""
 
 _RAISED = 1.1
 """Predicted movement to which a step may lead."""
 
-_LOOK_SHARE = 0.01
-"""Time between two predictions, as a share of the shortest wait."""
-
 _HORIZON = 1.0
 """Time for which a step must be safe, in shortest waits."""
 
 _SLOWEST_SLEW_V_PER_S = 50.0
-_LONGEST = 60.0
-"""Longest time constant, in shortest waits."""
-
-_FLOOR = 0.01
-"""Least standard deviation of a sample, as a share of the movement: the grid fits no better."""
-
 _TRIES = (1.0, 0.8, 0.65, 0.5)
 
 
 class Bounds:
-    """The credible loads of an experiment since its rest."""
+    """The credible loads of an experiment since its rest.
+
+    Attributes:
+        loads: The loads.
+    """
 
     def __init__(self, course: ExperimentCourse, base_V: float) -> None:
         """Begin where the load of the experiment has come to rest, at a V_c."""
@@ -285,22 +277,16 @@ class Bounds:
         self._highest = 0.0
         self._taken = len(course.record.times_s)
         self._look_s = _LOOK_SHARE * target.patience_s
-        self._loads = CredibleLoads(
-            shortest_s=self._look_s,
-            longest_s=_LONGEST * target.patience_s,
-            gain_max=LARGEST_GAIN * target.first_gain,
-            deviation_min=_FLOOR * target.move,
-        )
-        self._loads.rest(course.rest_samples, course.noise)
-
-    @property
-    def gain(self) -> float:
-        """Largest credible gain."""
-        return self._loads.gain
+        self.loads = CredibleLoads(target, course.rest_samples, course.noise)
 
     def heads_for_edge(self) -> bool:
-        """Take the last samples; return whether V_c must be taken back now."""
+        """Take the last samples; return whether V_c must be taken back now.
+
+        A battery is not judged: its current jumps, and falls while it is charged.
+        """
         course, record = self._course, self._course.record
+        if course.target.battery is not None:
+            return False
         first = self._taken
         duration_s = round(course.time_s - record.times_s[first - 1], 3)
         if duration_s < self._look_s:
@@ -308,21 +294,21 @@ class Bounds:
         self._taken = len(record.times_s)
         fed = float(np.mean([self._fed(one) for one in record.voltages_V[first:]]))
         outputs = np.array(record.outputs[first:]) - self._rest
-        self._loads.take(duration_s, fed, outputs)
+        self.loads.take(duration_s, fed, outputs)
         self._highest = max(self._highest, fed)
-        edge = EDGE * course.target.move
-        if self._loads.gain * self._highest <= edge:
+        edge = _EDGE * course.target.move
+        if self.loads.gain * self._highest <= edge:
             return False
         now_V = record.voltages_V[-1]
         reaction_s = self._look_s + 0.5 * abs(now_V - self._base_V) / _SLOWEST_SLEW_V_PER_S
-        return self._loads.movement(self._fed(now_V), reaction_s) > edge
+        return self.loads.movement(self._fed(now_V), reaction_s) > edge
 
     def largest_step(self, step: float) -> float:
         """Return the largest share of a step of the input that is safe for a shortest wait."""
         target = self._course.target
         horizon_s = _HORIZON * target.patience_s
         for share in _TRIES:
-            if self._loads.movement(share * step, horizon_s) <= _RAISED * target.move:
+            if self.loads.movement(share * step, horizon_s) <= _RAISED * target.move:
                 return share * step
         return 0.0
 

@@ -100,7 +100,7 @@ async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading,
             if reading is not None:
                 now_s = now()
                 first = first or (reading.time_s, now_s)
-                _require_steady_clock(drive, _lead_s(first, (reading.time_s, now_s)))
+                _require_steady_clock(drive, first, (reading.time_s, now_s))
                 if reading.time_s > last_s:
                     last_s, measured_s = reading.time_s, now_s - reading.age_s
                     if last is None or _is_new(reading, last):
@@ -109,17 +109,6 @@ async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading,
             if now() - measured_s > _SILENCE_S:
                 silence = f"no measurement for {_SILENCE_S:g} s: adaptdrive probe shows why"
                 raise NoAnswerError(drive, silence)
-
-
-def _lead_s(first: tuple[float, float], last: tuple[float, float]) -> float:
-    """Return by how much the time of the readings has left the clock since the first reading.
-
-    What a clock may drift until then, or be slewed, does not count. Of both readings the time, and
-    that of the arrival by a clock that nobody sets, are given.
-    """
-    elapsed_s = last[1] - first[1]
-    lead_s = last[0] - first[0] - elapsed_s
-    return math.copysign(max(0.0, abs(lead_s) - _SLEW * elapsed_s), lead_s)
 
 
 async def _next(
@@ -138,7 +127,17 @@ def _is_new(reading: FastReading, last: FastReading) -> bool:
     return reading.measured_s - last.measured_s > _SAME_S or reading.bridge != last.bridge
 
 
-def _require_steady_clock(drive: str, lead_s: float) -> None:
+def _require_steady_clock(
+    drive: str, first: tuple[float, float], last: tuple[float, float]
+) -> None:
+    """Make sure that the time of the readings has not left the clock since the first reading.
+
+    What a clock may drift until then, or be slewed, does not count. Of both readings the time, and
+    that of the arrival by a clock that nobody sets, are given.
+    """
+    elapsed_s = last[1] - first[1]
+    lead_s = last[0] - first[0] - elapsed_s
+    lead_s = math.copysign(max(0.0, abs(lead_s) - _SLEW * elapsed_s), lead_s)
     if abs(lead_s) > _SILENCE_S:
         raise CommissionError(
             f"the time of {drive}'s telemetry moved by {lead_s:+.4g} s against this program's "
@@ -285,7 +284,9 @@ class Guide:
 
     async def _end(self) -> str:
         """Return why the drive is off."""
-        return _end(self.drive, await self._state())
+        state = await self._state()
+        why = state.get("trip") or "disabled by another operator"
+        return f"{self.drive} is {state.get('state')}: {why}"
 
     async def _leave(self, mode: str) -> None:
         """Bring the drive into its safe state, and its mode back."""
@@ -344,11 +345,6 @@ class Guide:
         reply = await self.send(verb, value, **fields)
         if reply.accepted:
             return
-        if verb == "voltage" and (state := await self._state()).get("state") not in _ENERGISED:
-            raise CommissionError(_end(self.drive, state))
+        if verb == "voltage" and (await self._state()).get("state") not in _ENERGISED:
+            raise CommissionError(await self._end())
         raise CommissionError(f"{self.drive} refused {verb}: {reply.reason}")
-
-
-def _end(drive: str, state: dict[str, Any]) -> str:
-    why = state.get("trip") or "disabled by another operator"
-    return f"{drive} is {state.get('state')}: {why}"

@@ -66,6 +66,11 @@ class Target:
         raised_V = to_voltage(self.to_input(voltage_V) + step, self.input_gain, self.input_exponent)
         return min(max(raised_V, self.low_V), self.high_V)
 
+    def middle_V(self, low_V: float, high_V: float) -> float:
+        """Return the voltage whose input is in the middle between those of two others."""
+        middle = 0.5 * (self.to_input(low_V) + self.to_input(high_V))
+        return to_voltage(middle, self.input_gain, self.input_exponent)
+
     @property
     def onset_step_V(self) -> float:
         """Step of V_c that raises a battery's current by less than the movement."""
@@ -192,7 +197,7 @@ class Phase(StrEnum):
     REST = "waiting for rest at the lowest voltage"
     ONSET = "raising the voltage until a current flows"
     CLIMB = "looking for the step that moves the output visibly"
-    RETREAT = "taking the voltage back: the output would move too far"
+    BACK = "taking the voltage back: the output would move too far"
     TEST = "switching the voltage"
     DONE = "done"
 

@@ -77,7 +77,7 @@ class Switching:
             if not course.look_is_due():
                 continue
             self._look_at_band()
-            if course.target.battery is None and self._bounds.heads_for_edge():
+            if self._bounds.heads_for_edge():
                 self._back_off()
 
     def _back_off(self) -> None:
@@ -190,7 +190,7 @@ class Climb:
             course.phase = Phase.CLIMB
             raised_V = target.raised_V(self._base_V, step)
             moved = yield from self._respond(raised_V)
-            if course.phase is Phase.RETREAT or moved > _TOO_FAR * target.move:
+            if course.phase is Phase.BACK or moved > _TOO_FAR * target.move:
                 step = yield from self._retreat(step)
                 continue
             if moved >= _ENOUGH * target.move:
@@ -214,7 +214,7 @@ class Climb:
         course, target, base_V, rest = self._course, self._course.target, self._base_V, self._before
         gain = moved / (target.to_input(raised_V) - target.to_input(base_V))
         if target.battery is None:
-            gain = min(max(gain, self.bounds.gain), gain / _LEAST_LEVEL)
+            gain = min(max(gain, self.bounds.loads.gain), gain / _LEAST_LEVEL)
         high_V = target.raised_V(base_V, target.move / gain)
         course.look_at_terminals(high_V, rest + target.move)
         began_s, settling_s = self._began_s, self._time_to_rest()
@@ -238,7 +238,7 @@ class Climb:
         for _ in until_rest(course):
             moved = course.recent(course.smooth_s) - self._before
             if self._is_too_far(moved):
-                course.phase = Phase.RETREAT
+                course.phase = Phase.BACK
                 return moved
             if moved < -course.margin(_FALL):
                 raise CommissionError(
@@ -257,21 +257,18 @@ class Climb:
 
     def _is_too_far(self, moved: float) -> bool:
         """Return whether the output has moved too far, or would although V_c went back now."""
-        course = self._course
-        heading = course.target.battery is None and self.bounds.heads_for_edge()
-        return heading or moved > _TOO_FAR * course.target.move
+        return self.bounds.heads_for_edge() or moved > _TOO_FAR * self._course.target.move
 
     def _retreat(self, step: float) -> Steps[float]:
         """Take V_c back, wait for rest, and return the next step."""
         course, target = self._course, self._course.target
-        course.phase, self._retreats = Phase.RETREAT, True
+        course.phase, self._retreats = Phase.BACK, True
         course.voltage_V, self._raised_s = self._base_V, course.time_s
         peak = course.recent(course.smooth_s) - self._before
         for _ in range(_LONGEST_RETURN):
             for _ in until_rest(course):
                 peak = max(peak, course.recent(course.smooth_s) - self._before)
-                if target.battery is None:
-                    self.bounds.heads_for_edge()
+                self.bounds.heads_for_edge()
                 yield True
             if abs(self._course.rest - self._before) <= course.margin(_BACK):
                 break
@@ -279,7 +276,7 @@ class Climb:
         least, largest = _AFTER_RETREAT
         share = largest * target.move / max(peak, 1e-9 * target.move)
         if target.battery is None:
-            share = largest * target.move / (self.bounds.gain * step)
+            share = largest * target.move / (self.bounds.loads.gain * step)
         return step * min(max(least, share), largest)
 
     def _no_response(self, moved: float, raised_V: float) -> CommissionError:

@@ -23,14 +23,6 @@ KEYS = "q ends the experiment with the drive off, as does Ctrl-C"
 _POINTS = 6000
 _SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
 _HEADER_ROWS, _BAR_WIDTH = 2, 20
-_SHORT = {
-    course.Phase.REST: "rest",
-    course.Phase.ONSET: "onset",
-    course.Phase.CLIMB: "climb",
-    course.Phase.RETREAT: "back",
-    course.Phase.TEST: "test",
-    course.Phase.DONE: "done",
-}
 
 
 @dataclass(slots=True)
@@ -51,7 +43,7 @@ class Picture:
 
     def take(self, reading: client.FastReading) -> None:
         """Take a reading that the experiment has taken."""
-        phase, outcome = _SHORT[self.experiment.course.phase], self.experiment.outcome
+        phase, outcome = self.experiment.course.phase.name.lower(), self.experiment.outcome
         if not self.marks or self.marks[-1][1] != phase:
             self.marks.append((reading.time_s, phase))
         rest = reading.output if outcome is None else outcome.rest

@@ -5,7 +5,8 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.signal import freqz, lfilter
 from tomlkit.exceptions import TOMLKitError
 
 from adaptdrive.app.loads import build_load
@@ -97,19 +98,12 @@ def margins_of(configuration: Configuration) -> Margins:
     taps = len(gains) - load.order - 1
     r, s = [1.0, *gains[:taps]], gains[taps:]
     omega = np.linspace(math.pi / _FREQUENCIES, math.pi, _FREQUENCIES)
-    loop = _response(b, omega) * _response(s, omega) / (_response(a, omega) * _response(r, omega))
+    _, loop = freqz(np.convolve(b, s), np.convolve(a, r), omega)
     return Margins(
         gain=_gain_margin(loop),
         delay_s=_delay_margin(loop, omega) * section.period_s,
         effort=_effort(a, b, r, s),
     )
-
-
-def _response(polynomial: list[float], omega: Array) -> NDArray[np.complex128]:
-    """Return a polynomial in q^-1 on the unit circle."""
-    powers = np.arange(len(polynomial))
-    values: NDArray[np.complex128] = np.exp(-1j * np.outer(omega, powers)) @ np.array(polynomial)
-    return values
 
 
 def _gain_margin(loop: NDArray[np.complex128]) -> float:
@@ -241,21 +235,17 @@ def _rounded(value: float, digits: int = 4) -> float:
 
 def _suffices(margins: Margins, configuration: Configuration) -> bool:
     section, limits = configuration.load, configuration.drive.limits
-    step = _STEP_SHARE * (section.reference_max - section.reference_min)
     if not (math.isfinite(margins.effort) and margins.gain >= _LEAST_GAIN):
         return False
     if margins.delay_s < _LEAST_DELAY * section.period_s:
         return False
-    return margins.effort * step <= _EFFORT_SHARE * _input_range(
-        configuration, limits.boost_reference_min_V, limits.boost_reference_max_V
-    )
-
-
-def _input_range(configuration: Configuration, low_V: float, high_V: float) -> float:
-    """Return the range of the load's input."""
     load = build_load(configuration)
-    ends = [to_input(one, load.input_gain, load.input_exponent) for one in (low_V, high_V)]
-    return ends[1] - ends[0]
+    low, high = (
+        to_input(volts, load.input_gain, load.input_exponent)
+        for volts in (limits.boost_reference_min_V, limits.boost_reference_max_V)
+    )
+    step = _STEP_SHARE * (section.reference_max - section.reference_min)
+    return margins.effort * step <= _EFFORT_SHARE * (high - low)
 
 
 # The configuration file with new values: other comments stay, and the old file is kept.
@@ -309,8 +299,9 @@ def write_values(path: Path, text: str) -> Path:
     try:
         file = path.resolve(strict=True)
         backup = _free_backup(file)
-        _replace(backup, file.read_bytes(), like=file)
-        _replace(file, text.encode("utf-8"), like=file)
+        for place, content in ((backup, file.read_bytes()), (file, text.encode("utf-8"))):
+            with _written(content, like=file) as new:
+                new.replace(place)
     except OSError as problem:
         raise _unwritable(path, problem) from problem
     return backup
@@ -331,7 +322,8 @@ def refuse_unwritable(path: Path) -> None:
     with_values(path, read_text(path), {})
     try:
         file = path.resolve(strict=True)
-        _written(file, file.read_bytes(), like=file).unlink()
+        with _written(file.read_bytes(), like=file):
+            pass
     except OSError as problem:
         raise _unwritable(path, problem) from problem
 
@@ -340,28 +332,19 @@ def _unwritable(path: Path, problem: OSError) -> ConfigurationError:
     return ConfigurationError(path, [Flaw("file", f"cannot be written: {problem}")])
 
 
-def _replace(file: Path, content: bytes, like: Path) -> None:
-    """Replace a file by one with the owner, group and rights of another."""
-    new = _written(file, content, like)
-    try:
-        new.replace(file)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise
-
-
-def _written(file: Path, content: bytes, like: Path) -> Path:
-    """Write a file next to another, with the owner, group and rights of a third, and return it."""
-    handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
+@contextmanager
+def _written(content: bytes, like: Path) -> Iterator[Path]:
+    """Write a file next to another, with its owner and rights; it goes again unless it is moved."""
+    handle, name = tempfile.mkstemp(dir=like.parent, prefix=f".{like.name}.")
+    new = Path(name)
     try:
         with os.fdopen(handle, "wb") as stream:
             owner = like.stat()
             os.fchown(stream.fileno(), owner.st_uid, owner.st_gid)
-            shutil.copystat(like, name)  # access control lists, too
+            shutil.copystat(like, new)  # access control lists, too
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
-    except OSError:
-        Path(name).unlink(missing_ok=True)
-        raise
-    return Path(name)
+        yield new
+    finally:
+        new.unlink(missing_ok=True)
