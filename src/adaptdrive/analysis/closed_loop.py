@@ -6,17 +6,20 @@ at tick n is latched by the drive at the end of the half cycle after it, and act
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import polars as pl
 
+from adaptdrive.analysis.curves import Array, Quality, quality_of
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
+from adaptdrive.config.load import AnyLoad
 from adaptdrive.control import signals
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.schedule import Schedule
+from adaptdrive.identification.excerpt import means_of
 from adaptdrive.util.errors import IdentificationError
 
 # The daemon's controller in closed loop with a plant, in virtual time.
@@ -37,32 +40,26 @@ class Plant(Protocol):
         """
 
 
-@dataclass(slots=True)
-class LoopRecord:
-    """Record of a closed loop: one entry for each reading, and for each slow step.
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """A simulated closed loop.
 
     Attributes:
-        time_s: Time since the start.
-        reference: Set-point.
-        output: The regulated quantity.
-        boost_voltage_V: v_bst.
-        load_power_W: Power drawn from the boost capacitor.
-        snapshots: Input of each slow step.
-        decisions: Result of each slow step.
-        fault: Cause that ended the run early, empty for none.
+        ticks: Time, set-point, output, boost voltage and load power at each reading.
+        slow: Each slow step: output, V_c, controller, reason, estimates and their deviations.
+        fault: Cause that ended it early, empty for none.
+        configuration: The one that the controller ran with.
     """
 
-    time_s: list[float] = field(default_factory=list)
-    reference: list[float] = field(default_factory=list)
-    output: list[float] = field(default_factory=list)
-    boost_voltage_V: list[float] = field(default_factory=list)
-    load_power_W: list[float] = field(default_factory=list)
-    snapshots: list[signals.Snapshot] = field(default_factory=list)
-    decisions: list[signals.Decision] = field(default_factory=list)
-    fault: str = ""
+    ticks: pl.DataFrame
+    slow: pl.DataFrame
+    fault: str
+    configuration: Configuration
 
 
-LoopStart = tuple[float | None, tuple[float, ...] | None]
+_TICKS = ("time_s", "reference", "output", "boost_voltage_V", "load_power_W")
+
+Start = tuple[float | None, tuple[float, ...] | None]
 """v_bst in V at the start, the lowest V_c when None; and the parameters that an earlier run
 trusted, in the order of `Load.names`."""
 
@@ -123,8 +120,8 @@ def run_loop(
     plant: Plant,
     order: Callable[[int], signals.Order],
     readings: int,
-    start: LoopStart = (None, None),
-) -> LoopRecord:
+    start: Start = (None, None),
+) -> Simulation:
     """Run the controller of a configuration on a plant.
 
     Args:
@@ -137,43 +134,48 @@ def run_loop(
     Raises:
         IdentificationError: The plant returns a value that is not finite.
     """
-    record, (start_V, prior) = LoopRecord(), start
+    start_V, prior = start
     settings, load = controller_settings(configuration), build_load(configuration)
-    controller = Controller(settings, load, prior)
-    schedule = Schedule(controller, configuration.load.latency_ticks)
-    boost = BoostStage(configuration, start_V)
+    schedule = Schedule(Controller(settings, load, prior), configuration.load.latency_ticks)
+    boost, plant = BoostStage(configuration, start_V), at_own_step(plant)
     half_cycle_s, stride = configuration.drive.half_cycle_s, configuration.bus.ticks_per_reading
     line_V, period_s = configuration.drive.line_voltage_V, half_cycle_s * stride
-    plant = at_own_step(plant)
     output, power_W = advanced(plant, boost.voltage_V, period_s, 0)
     latched: signals.Command | None = None
+    ticks, slow, fault = [], [], ""
     for number in range(readings):
         wanted, volts = order(number), boost.voltage_V
         measured = signals.Measurement(
             number * stride, half_cycle_s, volts, line_V, power_W, output
         )
         command = schedule.tick(measured, wanted)
-        _note(record, number * period_s, wanted, measured)
+        ticks.append((number * period_s, wanted.reference, output, volts, power_W))
         if (snapshot := schedule.take_snapshot()) is not None:
-            record.snapshots.append(snapshot)
-            record.decisions.append(schedule.decide(snapshot))
-            record.fault = record.decisions[-1].fault
-        if record.fault:
-            return record
+            decision = schedule.decide(snapshot)
+            slow.append(_slow_row(snapshot, decision, half_cycle_s))
+            if fault := decision.fault:
+                break
         mean_V = boost.step(latched or command, power_W, period_s)
         latched = command
         output, power_W = advanced(plant, mean_V, period_s, number + 1)
-    return record
+    table = pl.DataFrame(ticks, dict.fromkeys(_TICKS, pl.Float64), orient="row")
+    return Simulation(table, pl.DataFrame(slow), fault, configuration)
 
 
-def _note(
-    record: LoopRecord, time_s: float, wanted: signals.Order, measured: signals.Measurement
-) -> None:
-    record.time_s.append(time_s)
-    record.reference.append(wanted.reference)
-    record.output.append(measured.output)
-    record.boost_voltage_V.append(measured.boost_voltage_V)
-    record.load_power_W.append(measured.load_power_W)
+def _slow_row(
+    snapshot: signals.Snapshot, decision: signals.Decision, half_cycle_s: float
+) -> dict[str, Any]:
+    return {
+        "time_s": snapshot.tick * half_cycle_s,
+        "reference": snapshot.order.reference,
+        "output": snapshot.output,
+        "boost_reference_V": decision.boost_reference_V,
+        "controller": str(decision.controller),
+        "accepted": decision.accepted,
+        "reason": decision.reason,
+        **{f"estimate_{name}": one.value for name, one in decision.estimates.items()},
+        **{f"estimate_{name}_std": one.std for name, one in decision.estimates.items()},
+    }
 
 
 def advanced(plant: Plant, voltage_V: float, duration_s: float, number: int) -> tuple[float, float]:
@@ -250,24 +252,7 @@ def at_own_step(plant: Plant) -> Plant:
     return plant if step_s is None else OwnStep(plant, float(step_s))
 
 
-# A plant of the user in closed loop, as tables.
-
-
-@dataclass(frozen=True, slots=True)
-class Simulation:
-    """A simulated closed loop.
-
-    Attributes:
-        ticks: Time, set-point, output, boost voltage and load power at each reading.
-        slow: Each slow step: output, V_c, controller, reason, estimates and their deviations.
-        fault: Cause that ended it early, empty for none.
-        configuration: The one that the controller ran with.
-    """
-
-    ticks: pl.DataFrame
-    slow: pl.DataFrame
-    fault: str
-    configuration: Configuration
+# A plant of the user in closed loop.
 
 
 def simulated(
@@ -293,35 +278,52 @@ def simulated(
     pole = configuration.load.pole
 
     def order(number: int) -> signals.Order:
-        return signals.Order(signals.Stage.RUN, _finite(setpoint, number * reading_s), mode, pole)
+        wanted = float(setpoint(number * reading_s))
+        if not math.isfinite(wanted):
+            raise IdentificationError(f"the set-point at {number * reading_s:g} s is {wanted}")
+        return signals.Order(signals.Stage.RUN, wanted, mode, pole)
 
-    record = run_loop(configuration, plant, order, round(duration_s / reading_s))
-    slow = _slow(record, configuration.drive.half_cycle_s)
-    names = ("time_s", "reference", "output", "boost_voltage_V", "load_power_W")
-    ticks = pl.DataFrame({name: getattr(record, name) for name in names})
-    return Simulation(ticks, slow, record.fault, configuration)
-
-
-def _finite(setpoint: Callable[[float], float], time_s: float) -> float:
-    wanted = float(setpoint(time_s))
-    if not math.isfinite(wanted):
-        raise IdentificationError(f"the set-point at {time_s:g} s is {wanted}")
-    return wanted
+    return run_loop(configuration, plant, order, round(duration_s / reading_s))
 
 
-def _slow(record: LoopRecord, half_cycle_s: float) -> pl.DataFrame:
-    rows = [
-        {
-            "time_s": snapshot.tick * half_cycle_s,
-            "reference": snapshot.order.reference,
-            "output": snapshot.output,
-            "boost_reference_V": decision.boost_reference_V,
-            "controller": str(decision.controller),
-            "accepted": decision.accepted,
-            "reason": decision.reason,
-            **{f"estimate_{name}": one.value for name, one in decision.estimates.items()},
-            **{f"estimate_{name}_std": one.std for name, one in decision.estimates.items()},
-        }
-        for snapshot, decision in zip(record.snapshots, record.decisions, strict=True)
-    ]
-    return pl.DataFrame(rows)
+# The course of a loop, simulated or recorded, as means over slow periods.
+
+
+@dataclass(frozen=True, slots=True)
+class LoopCourse:
+    """Course of a loop, as means over slow periods.
+
+    Attributes:
+        time_s: Time of each slow period.
+        reference: Set-point at its end.
+        output: The regulated quantity.
+        boost_voltage_V: v_bst.
+        quality: Judgement of it.
+        fault: Cause that ended it early, empty for none.
+    """
+
+    time_s: Array
+    reference: Array
+    output: Array
+    boost_voltage_V: Array
+    quality: Quality
+    fault: str = ""
+
+
+def course_of(
+    ticks: pl.DataFrame, samples: int, time_s: Array, section: AnyLoad, fault: str = ""
+) -> LoopCourse:
+    """Return the course of a loop.
+
+    Args:
+        ticks: Set-point, output and boost voltage at each reading.
+        samples: Readings in a slow period.
+        time_s: Time of each slow period.
+        section: The load, with its slow period and the range of its set-points.
+        fault: Cause that ended the loop early, empty for none.
+    """
+    output, volts = (means_of(ticks[n].to_numpy(), samples) for n in ("output", "boost_voltage_V"))
+    reference = ticks["reference"].to_numpy()[samples - 1 :: samples]
+    span = section.reference_max - section.reference_min
+    quality = quality_of(reference, output, volts, section.period_s, span)
+    return LoopCourse(time_s, reference, output, volts, quality, fault)

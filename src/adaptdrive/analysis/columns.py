@@ -167,45 +167,32 @@ class Columns:
 
 def _is_date(value: object, *, comma: bool) -> bool:
     if isinstance(value, str):
-        return not math.isfinite(_from_text(value.strip(), comma=comma, readers=(float,)))
+        return math.isnan(_plain(value, comma=comma))
     return isinstance(value, datetime | np.datetime64)
 
 
-def _number(value: object, *, comma: bool) -> float:
-    """Return a value as a number, a date as seconds, NaN for anything else."""
-    if isinstance(value, np.datetime64):
-        value = value.astype("datetime64[us]").item()
-    if isinstance(value, str):
-        return _from_text(value.strip(), comma=comma)
-    if isinstance(value, datetime):
-        return _since_1970_s(value)
+def _plain(text: str, *, comma: bool) -> float:
+    """Return a text as a number, NaN where it is none."""
     try:
-        return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+        return float(text.replace(",", ".") if comma else text)
+    except ValueError:
         return math.nan
 
 
-def _seconds(text: str) -> float:
-    return _since_1970_s(datetime.fromisoformat(text))
-
-
-def _since_1970_s(time: datetime) -> float:
-    """Return a time in seconds; one without a zone as if it were UTC: only differences count."""
-    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
-
-
-_READERS: tuple[Callable[[str], float], ...] = (float, _seconds)
-
-
-def _from_text(
-    text: str, *, comma: bool, readers: Iterable[Callable[[str], float]] = _READERS
-) -> float:
-    for read in readers:
-        try:
-            return read(text.replace(",", ".") if comma else text)
-        except ValueError:
-            continue
-    return math.nan
+def _number(value: Any, *, comma: bool) -> float:  # noqa: ANN401 - whatever a table holds
+    """Return a value as a number, a date as seconds since 1970, NaN for anything else."""
+    if isinstance(value, np.datetime64):
+        value = value.astype("datetime64[us]").item()
+    try:
+        if isinstance(value, str):
+            plain = _plain(value, comma=comma)
+            value = datetime.fromisoformat(value.strip()) if math.isnan(plain) else plain
+        if isinstance(value, datetime):
+            # one without a zone as if it were UTC: only differences count
+            value = (value if value.tzinfo else value.replace(tzinfo=UTC)).timestamp()
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan
 
 
 def columns_of_file(path: Path) -> Columns:

@@ -1,7 +1,7 @@
 """Curves of a session, as many points as a figure can show, and the quality of its control."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -24,8 +24,6 @@ _MOST_STEPS = 6000
 
 _GAP_PERIODS = 3.0
 """Time between two slow steps from which on they are no line: late ones are none."""
-
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 _TICK_COLUMNS = ("output", "reference", "boost_voltage_V", "command_boost_reference_V")
 _SLOW_COLUMNS = ("controller", "accepted", "applied_V", "boost_reference_V", "estimates", "reason")
@@ -91,95 +89,62 @@ def find_window(session: Session, begin_s: float | None, end_s: float | None) ->
     Raises:
         RecordingError: There is no tick in it.
     """
-    clock = session_clock(session)
     ends = session.ends(TableName.TICKS, ("utc", "monotonic_s", "tick"))
     if ends is None:
         raise RecordingError(session.path, "it holds no ticks")
-    first, last = clock(ends[0])[0], clock(ends[1])[-1]
+    first, last = row_times(session, ends[0])[0], row_times(session, ends[1])[-1]
     begin = first + (begin_s or 0.0)
     end = last if end_s is None else min(last, first + end_s)
     if not begin < end:
         raise RecordingError(session.path, f"it holds {last - first:.6g} s, none of them in there")
-    started = _utc(ends[0]) or session.info.started.astimezone(UTC)
+    started = ends[0].column("utc")[0].as_py() or session.info.started.astimezone(UTC)
     return Window(begin, end, started + timedelta(seconds=begin - first))
 
 
-def _utc(batch: pa.RecordBatch) -> datetime | None:
-    """Return the wall-clock time of the first row, None where it is not recorded."""
-    microseconds = batch.column("utc")[0].value
-    return None if microseconds is None else _EPOCH + timedelta(microseconds=microseconds)
-
-
-def session_clock(session: Session) -> Callable[[pa.RecordBatch], Array]:
-    """Return what gives the monotonic time of rows; from the tick where it is not recorded."""
-    tick_s = 0.5 / session.info.line_frequency_Hz
-
-    def clock(batch: pa.RecordBatch) -> Array:
-        time_s = _numbers(batch, "monotonic_s")
-        if len(time_s) and math.isnan(time_s[0]):
-            return _numbers(batch, "tick") * tick_s
-        return time_s
-
-    return clock
+def row_times(session: Session, batch: pa.RecordBatch) -> Array:
+    """Return the monotonic time of rows; from the tick where it is not recorded."""
+    time_s = _floats(batch.column("monotonic_s"))
+    if len(time_s) and math.isnan(time_s[0]):
+        return _floats(batch.column("tick")) * (0.5 / session.info.line_frequency_Hz)
+    return time_s
 
 
 def read_curves(session: Session, window: Window) -> Curves:
-    """Read what a figure shows of a session."""
-    clock = session_clock(session)
-    steps = _thinned(list(_within(session, TableName.SLOW, _SLOW_COLUMNS, window, clock)))
-    slow_s = np.concatenate([time_s for time_s, _ in steps]) if steps else np.empty(0)
-    batches = [batch for _, batch in steps]
-    return Curves(
-        window=window,
-        ticks=_envelopes(session, window, clock),
-        slow_s=slow_s,
-        slow={
-            name: np.concatenate([_values(batch, name) for batch in batches])
-            for name in _SLOW_COLUMNS
-            if name != "estimates" and batches
-        },
-        estimates=_estimates(batches, len(slow_s)),
-    )
-
-
-def _thinned(steps: list[tuple[Array, pa.RecordBatch]]) -> list[tuple[Array, pa.RecordBatch]]:
-    """Return every n-th step, so that a figure shows no more than it can."""
-    every = 1 + sum(len(time_s) for time_s, _ in steps) // _MOST_STEPS
-    kept, first = [], 0
-    for time_s, batch in steps:
-        rows = np.arange(-first % every, len(time_s), every, dtype=np.int64)
-        indices = pa.Array.from_buffers(pa.int64(), len(rows), [None, pa.py_buffer(rows)])
-        kept.append((time_s[rows], batch.take(indices)))
-        first += len(time_s)
-    return kept
+    """Read what a figure shows of a session; of many slow steps every n-th."""
+    steps = list(_within(session, TableName.SLOW, _SLOW_COLUMNS, window))
+    slow_s = np.concatenate([np.empty(0), *(time_s for time_s, _ in steps)])
+    ticks = _envelopes(session, window)
+    if not steps:
+        return Curves(window, ticks, slow_s, slow={}, estimates={})
+    shown = np.arange(0, len(slow_s), 1 + len(slow_s) // _MOST_STEPS)
+    # `pa.array` would load pandas wherever that is installed
+    indices = pa.Array.from_buffers(pa.int64(), len(shown), [None, pa.py_buffer(shown)])
+    table = pa.Table.from_batches([batch for _, batch in steps]).take(indices)
+    rows = table.combine_chunks().to_batches()[0]
+    slow = {name: _values(rows, name) for name in _SLOW_COLUMNS if name != "estimates"}
+    return Curves(window, ticks, slow_s[shown], slow, _estimates(rows))
 
 
 def _within(
-    session: Session,
-    table: str,
-    columns: tuple[str, ...],
-    window: Window,
-    clock: Callable[[pa.RecordBatch], Array],
+    session: Session, table: str, columns: tuple[str, ...], window: Window
 ) -> Iterator[tuple[Array, pa.RecordBatch]]:
     for batch in session.batches(table, ("monotonic_s", "tick", *columns)):
-        time_s = clock(batch)
+        time_s = row_times(session, batch)
         first, last = np.searchsorted(time_s, (window.begin_s, window.end_s), side="left")
         if first < last:
             yield time_s[first:last] - window.begin_s, batch.slice(first, last - first)
 
 
-def _envelopes(
-    session: Session, window: Window, clock: Callable[[pa.RecordBatch], Array]
-) -> dict[str, tuple[Array, Array]]:
+def _envelopes(session: Session, window: Window) -> dict[str, tuple[Array, Array]]:
     width_s = (window.end_s - window.begin_s) / _BINS
     low = {name: np.full(_BINS, np.inf) for name in _TICK_COLUMNS}
     high = {name: np.full(_BINS, -np.inf) for name in _TICK_COLUMNS}
-    for time_s, batch in _within(session, TableName.TICKS, _TICK_COLUMNS, window, clock):
+    for time_s, batch in _within(session, TableName.TICKS, _TICK_COLUMNS, window):
         bins = np.minimum((time_s / width_s).astype(np.int64), _BINS - 1)
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
         at = bins[starts]
         for name in _TICK_COLUMNS:
-            values = _numbers(batch, name)
+            values = _floats(batch.column(name))
             low[name][at] = np.minimum(low[name][at], np.minimum.reduceat(values, starts))
             high[name][at] = np.maximum(high[name][at], np.maximum.reduceat(values, starts))
     filled = np.isfinite(low["output"])
@@ -190,25 +155,18 @@ def _envelopes(
     }
 
 
-def _estimates(batches: list[pa.RecordBatch], rows: int) -> dict[str, tuple[Array, Array]]:
+def _estimates(rows: pa.RecordBatch) -> dict[str, tuple[Array, Array]]:
     found: dict[str, tuple[Array, Array]] = {}
-    first = 0
-    for batch in batches:
-        column = batch.column("estimates")
-        at = first + np.from_dlpack(pc.list_parent_indices(column))
-        flat = pc.list_flatten(column)
-        names = np.asarray(flat.field("name").to_pylist())
-        for name in np.unique(names):
-            value, std = found.setdefault(name, (np.full(rows, np.nan), np.full(rows, np.nan)))
-            chosen = names == name
-            value[at[chosen]] = _floats(flat.field("value"))[chosen]
-            std[at[chosen]] = _floats(flat.field("std"))[chosen]
-        first += batch.num_rows
+    column = rows.column("estimates")
+    at = np.from_dlpack(pc.list_parent_indices(column))
+    flat = pc.list_flatten(column)
+    names = np.asarray(flat.field("name").to_pylist())
+    for name in np.unique(names):
+        found[name] = np.full(rows.num_rows, np.nan), np.full(rows.num_rows, np.nan)
+        chosen = names == name
+        for values, part in zip(found[name], ("value", "std"), strict=True):
+            values[at[chosen]] = _floats(flat.field(part))[chosen]
     return found
-
-
-def _numbers(batch: pa.RecordBatch, name: str) -> Array:
-    return _floats(batch.column(name))
 
 
 def _floats(column: pa.Array) -> Array:
@@ -314,9 +272,3 @@ def judge_step(output: Array, before: float, after: float) -> tuple[float, float
     outside = np.flatnonzero(np.abs(error) > _BAND)
     periods = float(outside[-1] + 1) if len(outside) else 0.0
     return max(0.0, float(error.max())), periods if periods < len(output) else math.inf
-
-
-def period_means(values: Array, samples: int) -> Array:
-    """Return means over slow periods, of the whole ones."""
-    count = len(values) // samples
-    return np.asarray(values[: count * samples].reshape(count, samples).mean(axis=1))

@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from adaptdrive.analysis.curves import Array, session_clock
+from adaptdrive.analysis.curves import Array, row_times
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.identification.excerpt import Excerpt, held_step
@@ -63,7 +64,7 @@ class Stretch:
 
 def read_stretches(
     session: Session, begin_s: float | None = None, end_s: float | None = None
-) -> list[Stretch]:
+) -> tuple[list[Stretch], int]:
     """Read the parts of a session in which the drive ran.
 
     Args:
@@ -71,29 +72,11 @@ def read_stretches(
         begin_s: Seconds after its first tick, None for that tick.
         end_s: Seconds after its first tick, None for its last one.
 
+    Returns:
+        The parts, and how many others are left out, as they are shorter than a slow period.
+
     Raises:
         IdentificationError: The drive did not run in there, or for less than a slow period.
-    """
-    whole = [one for one in divided(session, begin_s, end_s) if one is not None]
-    if not whole:
-        raise IdentificationError(
-            f"{session.path}: too short: the drive ran for less than a slow period in that time"
-        )
-    return whole
-
-
-def divided(
-    session: Session, begin_s: float | None = None, end_s: float | None = None
-) -> list[Stretch | None]:
-    """Read the same, with None for each part that is shorter than a slow period.
-
-    Args:
-        session: The session.
-        begin_s: Seconds after its first tick, None for that tick.
-        end_s: Seconds after its first tick, None for its last one.
-
-    Raises:
-        IdentificationError: The drive did not run in there.
     """
     rows = _running(session, begin_s or 0.0, math.inf if end_s is None else end_s)
     if len(rows["tick"]) < 2:
@@ -104,9 +87,15 @@ def divided(
     period = session.info.ticks_per_period
     # one for all: the line's frequency wanders by less than matters, and one grid needs one period
     period_s = stride * float(np.mean(rows["tick_period_s"]))
-    return [
+    found = [
         _stretch({n: v[part] for n, v in rows.items()}, stride, period, period_s) for part in parts
     ]
+    whole = [one for one in found if one is not None]
+    if not whole:
+        raise IdentificationError(
+            f"{session.path}: too short: the drive ran for less than a slow period in that time"
+        )
+    return whole, len(found) - len(whole)
 
 
 def block_samples(stretches: list[Stretch]) -> int:
@@ -121,22 +110,22 @@ def block_samples(stretches: list[Stretch]) -> int:
 
 def _running(session: Session, begin_s: float, end_s: float) -> dict[str, Any]:
     """Return time, tick and columns of the ticks with a fresh reading of a running drive."""
-    clock = session_clock(session)
-    first_s = math.nan
-    kept: dict[str, list[Any]] = {n: [] for n in ("time_s", "mode", "tick", *_COLUMNS)}
+    first_s, parts = math.nan, []
     read = ("monotonic_s", "tick", "stage", "fresh", "mode", *_COLUMNS)
     for batch in session.batches(TableName.TICKS, read):
-        time_s = clock(batch)
+        time_s = row_times(session, batch)
         first_s = time_s[0] if math.isnan(first_s) and len(time_s) else first_s
         since_s = time_s - first_s
         chosen = _equal(batch, "stage", Stage.RUN.value) & ~_equal(batch, "fresh", wanted=False)
         chosen &= (since_s >= begin_s) & (since_s <= end_s)
-        kept["time_s"].append(since_s[chosen])
-        kept["mode"].append(_modes(batch)[chosen])
+        part: dict[str, Any] = {"time_s": since_s[chosen], "mode": _modes(batch)[chosen]}
         for name in ("tick", *_COLUMNS):
             values = batch.column(name).to_numpy(zero_copy_only=False)
-            kept[name].append(np.asarray(values, dtype=np.float64)[chosen])
-    return {name: np.concatenate(values) if values else [] for name, values in kept.items()}
+            part[name] = np.asarray(values, dtype=np.float64)[chosen]
+        parts.append(part)
+    if not parts:
+        return {"tick": []}
+    return {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
 
 
 def _modes(batch: pa.RecordBatch) -> NDArray[np.int8]:
@@ -178,7 +167,7 @@ class IdentifiedPlant:
     """An identified load behind the boost capacitor; it begins at rest.
 
     Attributes:
-        disturbance: What is added to the output of each step, 0 after its end.
+        disturbance: What is added to the output of each step; nothing after its end.
     """
 
     def __init__(
@@ -198,8 +187,7 @@ class IdentifiedPlant:
             rest: Boost voltage and output at rest.
             power: Factors of v², v and v·y in the power that it draws.
         """
-        self.disturbance = np.zeros(0)
-        self._steps = 0
+        self.disturbance: Iterator[float] = iter(())
         self._structure, self._power = structure, power
         self._denominator, self._numerator = np.array(load.denominator), np.array(load.numerator)
         self._offset = load.input_offset.value
@@ -220,11 +208,7 @@ class IdentifiedPlant:
         direct, slope = self._numerator[0], self._numerator[:0:-1]
         fed = load_input - self._denominator[:0:-1] @ self._state
         self._output = float(slope @ self._state + direct * fed)
-        disturbed = self._output
-        if self._steps < len(self.disturbance):
-            disturbed += float(self.disturbance[self._steps])
-        self._steps += 1
-        return disturbed, power_W
+        return self._output + next(self.disturbance, 0.0), power_W
 
     def _input(self, boost_voltage_V: float) -> float:
         own = self._structure
@@ -258,5 +242,5 @@ def disturbed_plant(load: IdentifiedLoad, structure: Load, stretch: Stretch) -> 
     )
     means = np.concatenate((volts[:1], 0.5 * (volts[:-1] + volts[1:])))
     simulated = [plant.step(volt, stretch.period_s)[0] for volt in means.tolist()]
-    made.disturbance = output - np.array(simulated)
+    made.disturbance = iter((output - np.array(simulated)).tolist())
     return made

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pyarrow import csv
 from pyarrow import parquet as pq
 
-from adaptdrive.analysis.curves import session_clock
+from adaptdrive.analysis.curves import row_times
 from adaptdrive.recording import reader
 from adaptdrive.recording.session import TABLES
 from adaptdrive.recording.tables import open_file
@@ -99,7 +99,7 @@ def session_frames(path: Path, frames: str) -> dict[str, Any]:
         field.name: unit
         for table in tables.values()
         for field in table.schema
-        if (unit := (field.metadata or {}).get(b"unit", b"").decode())
+        if (unit := _about(field, "unit"))
     }
     tables["events"] = _rows(session.events)
     tables["commands"] = _rows(session.commands)
@@ -159,15 +159,6 @@ def _tables(session: reader.Session) -> Iterator[tuple[str, pa.Schema]]:
             yield table, schema
 
 
-def _write_csv(session: reader.Session, into: Path) -> list[Path]:
-    return _write_tables(session, into, "csv", csv.CSVWriter)
-
-
-def _write_parquet(session: reader.Session, into: Path) -> list[Path]:
-    writer = functools.partial(pq.ParquetWriter, compression="zstd")
-    return _write_tables(session, into, "parquet", writer)
-
-
 def _write_tables(
     session: reader.Session, into: Path, suffix: str, writer: Callable[..., Any]
 ) -> list[Path]:
@@ -217,14 +208,13 @@ def _write_mdf4(session: reader.Session, into: Path) -> list[Path]:
     from asammdf import MDF, Signal  # noqa: PLC0415 - an extra
 
     path = into / f"{session.path.name}.mf4"
-    clock = session_clock(session)
     begin_s, begun = _beginning(session)
     with MDF(version="4.10") as file:
         file.start_time = begun
         for table, schema in _tables(session):
             batches = list(flat_batches(session, table))
             whole = pa.Table.from_batches(batches, schema)
-            time_s = np.concatenate([clock(batch) for batch in batches]) - begin_s
+            time_s = np.concatenate([row_times(session, batch) for batch in batches]) - begin_s
             signals = [
                 Signal(
                     samples=_samples(whole[field.name]),
@@ -243,10 +233,11 @@ def _write_mdf4(session: reader.Session, into: Path) -> list[Path]:
 
 def _beginning(session: reader.Session) -> tuple[float, datetime]:
     """Return the time of the first row of all tables, by the monotonic clock and in UTC."""
-    clock, firsts = session_clock(session), []
+    firsts = []
     for table, _ in _tables(session):
         row = next(flat_batches(session, table)).slice(0, 1)
-        firsts.append((float(clock(row)[0]), row["utc"][0].as_py() or session.info.started))
+        begin_s, begun = row_times(session, row)[0], row["utc"][0].as_py()
+        firsts.append((float(begin_s), begun or session.info.started))
     return min(firsts, default=(0.0, session.info.started))
 
 
@@ -290,15 +281,10 @@ def _json_schema(table: str, schema: pa.Schema) -> dict[str, Any]:
     return {"title": table, "type": "object", "properties": properties}
 
 
-def _floats(column: pa.ChunkedArray) -> NDArray[np.float64]:
-    return np.asarray(column.to_numpy(), dtype=np.float64)
-
-
 def _samples(column: pa.ChunkedArray) -> NDArray[Any]:
     """Return the values of a column; null, as in a column of a later version, is NaN or empty."""
     if pa.types.is_timestamp(column.type):
-        seconds = pc.divide(column.cast(pa.int64()).cast(pa.float64()), 1e6)
-        return _floats(seconds)
+        column = pc.divide(column.cast(pa.int64()).cast(pa.float64()), 1e6)
     if pa.types.is_string(column.type):
         return np.asarray([text.encode() for text in _texts(column)])
     if pa.types.is_boolean(column.type):
@@ -325,8 +311,12 @@ def _about(field: pa.Field, key: str) -> str:
 
 
 _WRITERS: dict[str, Callable[[reader.Session, Path], list[Path]]] = {
-    "csv": _write_csv,
-    "parquet": _write_parquet,
+    "csv": functools.partial(_write_tables, suffix="csv", writer=csv.CSVWriter),
+    "parquet": functools.partial(
+        _write_tables,
+        suffix="parquet",
+        writer=functools.partial(pq.ParquetWriter, compression="zstd"),
+    ),
     "mat": _write_mat,
     "mdf4": _write_mdf4,
     "mcap": _write_mcap,

@@ -2,8 +2,9 @@
 
 import base64
 import io
+import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from html import escape
 from pathlib import Path
@@ -79,6 +80,11 @@ def journal() -> AbstractContextManager[None]:
 def letter(axes: Axes, name: str, title: str) -> None:
     """Name a panel."""
     axes.set_title(rf"$\mathbf{{({name})}}$  {title}")
+
+
+def labelled(name: str, unit: str) -> str:
+    """Return the label of an axis; a quantity without a unit has its name alone."""
+    return f"{name} ({unit})" if unit else name
 
 
 def legend_above(axes: Axes, columns: int) -> None:
@@ -165,9 +171,7 @@ def _draw_output(axes: Axes, session: reader.Session, curves: Curves, scale_s: f
         time_s, values = curves.ticks[name]
         axes.plot(time_s / scale_s, values, label=name, **look)
     axes.set_title(f"{session.info.drive}: output and reference")
-    axes.set_ylabel(
-        f"output ({session.info.output_unit})" if session.info.output_unit else "output"
-    )
+    axes.set_ylabel(labelled("output", session.info.output_unit))
     legend_above(axes, columns=2)
 
 
@@ -190,17 +194,16 @@ def _draw_estimates(
 ) -> None:
     load = build_load(configuration)
     nominal = load.physical(list(load.numerator), list(load.denominator))
-    time = curves.broken(curves.slow_s / scale_s)
+    time, known = curves.broken(curves.slow_s / scale_s), []
     for name, usual, colour in zip(load.names, nominal, PARAMETERS, strict=False):
         if name not in curves.estimates:
             continue
         value, std = (curves.broken(series) / usual for series in curves.estimates[name])
+        known.append(value)
         axes.plot(time, value, color=colour, linewidth=0.9, label=_SYMBOLS.get(name, name))
         band = _SIGMAS * np.abs(std)
         axes.fill_between(time, value - band, value + band, color=colour, alpha=0.15, linewidth=0)
     axes.axhline(1.0, **TRUTH)
-    usuals = zip(load.names, nominal, strict=True)
-    known = [curves.estimates[n][0] / usual for n, usual in usuals if n in curves.estimates]
     axes.set_ylim(*_limits(known))
     axes.set_title(f"Estimates over nominal, with bands of {_SIGMAS:g} standard deviations")
     axes.set_ylabel("ratio")
@@ -218,16 +221,17 @@ def _limits(series: list[NDArray[np.float64]]) -> tuple[float, float]:
 
 
 def _draw_strip(axes: Axes, curves: Curves, scale_s: float) -> None:
-    rows: list[tuple[str, Callable[[int], str]]] = [
-        ("verdict", lambda i: "accepted" if curves.slow["accepted"][i] else "not accepted"),
-        ("controller", lambda i: str(curves.slow["controller"][i])),
-    ]
-    for height, (_, read) in enumerate(rows):
-        for first, last, what in _runs([read(i) for i in range(len(curves.slow_s))], curves.breaks):
+    verdicts = curves.slow.get("accepted", ())
+    rows = {
+        "verdict": ["accepted" if one else "not accepted" for one in verdicts],
+        "controller": list(map(str, curves.slow.get("controller", ()))),
+    }
+    for height, values in enumerate(rows.values()):
+        for first, last, what in _runs(values, curves.breaks):
             begin_s, end_s = curves.slow_s[first], curves.slow_s[last] + curves.period_s
             span = (begin_s / scale_s, (end_s - begin_s) / scale_s)
             axes.broken_barh([span], (height + 0.1, 0.8), color=_SHADES[what], linewidth=0)
-    axes.set_yticks([0.5, 1.5], [name for name, _ in rows])
+    axes.set_yticks([0.5, 1.5], list(rows))
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(0.0, 2.0)
     for what in ("adaptive", "fixed", "manual", "accepted", "not accepted"):
@@ -315,46 +319,44 @@ def _facts(session: reader.Session, curves: Curves) -> str:
         ("ended", info.ended.value),
         ("not recorded", str(info.dropped)),
         ("adaptdrive", info.version),
-        *((("damaged", session.damage),) if session.damage else ()),
     ]
-    return _table(("", ""), [(row, "") for row in rows])
+    return _table((), [*rows, ("damaged", session.damage)] if session.damage else rows)
 
 
 def _events(session: reader.Session, curves: Curves) -> str:
     window = curves.window
-    rows = [
-        ((f"{one.time:%H:%M:%S.%f}"[:-3], one.kind, one.detail), one.severity)
+    shown = [
+        one
         for one in session.events
         if not one.monotonic_s < window.begin_s and not one.monotonic_s > window.end_s
     ]
-    return _table(("UTC", "kind", "detail"), rows)
+    rows = [(f"{one.time:%H:%M:%S.%f}"[:-3], one.kind, one.detail) for one in shown]
+    return _table(("UTC", "kind", "detail"), rows, [one.severity for one in shown])
 
 
 def _commands(session: reader.Session) -> str:
     rows = [
         (
-            (
-                f"{one.time:%H:%M:%S.%f}"[:-3],
-                f"{one.verb} {one.value}",
-                one.user or "unknown",
-                "accepted" if one.accepted else f"refused: {one.reason}",
-            ),
-            "",
+            f"{one.time:%H:%M:%S.%f}"[:-3],
+            f"{one.verb} {one.value}",
+            one.user or "unknown",
+            "accepted" if one.accepted else f"refused: {one.reason}",
         )
         for one in session.commands
     ]
     return _table(("UTC", "command", "sender, unverified", "answer"), rows)
 
 
-def _table(heads: Sequence[str], rows: Sequence[tuple[Iterable[str], str]]) -> str:
+def _table(
+    heads: Sequence[str], rows: Sequence[Iterable[str]], kinds: Sequence[str] | None = None
+) -> str:
     if not rows:
         return "<p>none</p>"
-    head = "".join(f"<th>{escape(name)}</th>" for name in heads) if any(heads) else ""
+    head = "".join(f"<th>{escape(name)}</th>" for name in heads)
+    cells = ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows[:_MOST_ROWS]]
+    classes = kinds or itertools.repeat("")
     body = "".join(
-        f'<tr class="{escape(kind)}">'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row)
-        + "</tr>"
-        for row, kind in rows[:_MOST_ROWS]
+        f'<tr class="{escape(kind)}">{row}</tr>' for row, kind in zip(cells, classes, strict=False)
     )
     left_out = f"<p>and {len(rows) - _MOST_ROWS} more</p>" if len(rows) > _MOST_ROWS else ""
     return f"<table><tr>{head}</tr>{body}</table>{left_out}"

@@ -32,14 +32,14 @@ def as_text(found: RecordLoad) -> str:
         pairs = (value, load.simulated_parameters[name], found.online.get(name, _UNKNOWN))
         nominal = f"{found.nominal[name]:.5g}" if name in found.nominal else "-"
         rows.append(f"{name:<20}{''.join(f'{_pm(one):>24}' for one in pairs)}{nominal:>14}")
-    rows += ["", *checks(load, found.unit, found.left_out), *warnings(load), ""]
+    rows += ["", *checks(load, found.unit, found.left_out), ""]
     rows += ["[load.model]  # proposed"] if found.nominal else []
     rows += [f"{name} = {one.value:.5g}  # ± {one.std:.2g}" for name, one in found.model.items()]
     return "\n".join(rows)
 
 
 def checks(load: IdentifiedLoad, unit: str, left_out: int = 0) -> Iterator[str]:
-    """Yield what judges a fit.
+    """Yield what judges a fit, and a warning for each parameter of which both fits disagree.
 
     Args:
         load: The fit.
@@ -64,10 +64,6 @@ def checks(load: IdentifiedLoad, unit: str, left_out: int = 0) -> Iterator[str]:
     }
     for name, text in rows.items():
         yield f"{name:<16}{text}"
-
-
-def warnings(load: IdentifiedLoad) -> Iterator[str]:
-    """Yield a line for each parameter of which both fits differ by more than chance."""
     for name in load.disputed:
         one, other = load.parameters[name], load.simulated_parameters[name]
         yield (
@@ -136,9 +132,8 @@ def draw_load(found: RecordLoad) -> bytes:
         figure = Figure(figsize=(figures.WIDTH_in, 5.6), layout="constrained")
         output, residual, correlation = figure.subplots(3, 1, height_ratios=(1.6, 1.0, 1.0))
         residual.sharex(output)
-        unit = found.unit
-        _draw_output(output, found, f"output ({unit})" if unit else "output")
-        _draw_residuals(residual, found, f"residual ({unit})" if unit else "residual")
+        _draw_output(output, found)
+        _draw_residuals(residual, found)
         _draw_correlation(correlation, found.load)
         figure.align_ylabels([output, residual, correlation])
         return figures.as_png(figure)
@@ -153,7 +148,7 @@ def _times_s(found: RecordLoad) -> list[Array]:
     ]
 
 
-def _draw_output(axes: Axes, found: RecordLoad, label: str) -> None:
+def _draw_output(axes: Axes, found: RecordLoad) -> None:
     parts = zip(_times_s(found), found.load.simulated, found.load.residuals, strict=True)
     for number, (time_s, simulated, residual) in enumerate(parts):
         names = ("measured", "simulated") if number == 0 else ("", "")
@@ -161,17 +156,17 @@ def _draw_output(axes: Axes, found: RecordLoad, label: str) -> None:
         axes.plot(time_s, simulated, label=names[1], **figures.ADAPTIVE)
     fit = f", fit {100.0 * found.load.fit:.1f} %" if math.isfinite(found.load.fit) else ""
     axes.set_title(f"{found.name}: measured and simulated output{fit}")
-    axes.set_ylabel(label)
+    axes.set_ylabel(figures.labelled("output", found.unit))
     figures.legend_above(axes, columns=2)
 
 
-def _draw_residuals(axes: Axes, found: RecordLoad, label: str) -> None:
+def _draw_residuals(axes: Axes, found: RecordLoad) -> None:
     for time_s, residual in zip(_times_s(found), found.load.residuals, strict=True):
         axes.plot(time_s, residual, **(figures.FIXED | {"linewidth": 0.5}))
     axes.axhline(0.0, **figures.TRUTH)
     axes.set_title("Measured less simulated")
     axes.set_xlabel("time since the start of the record (s)")
-    axes.set_ylabel(label)
+    axes.set_ylabel(figures.labelled("residual", found.unit))
 
 
 def _draw_correlation(axes: Axes, load: IdentifiedLoad) -> None:

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from adaptdrive.analysis import closed_loop
 from adaptdrive.analysis.columns import Columns, columns_of_file, columns_of_table, quantity_of
 from adaptdrive.analysis.curves import find_window, read_curves
-from adaptdrive.analysis.excerpts import Stretch, block_samples, divided, read_stretches
+from adaptdrive.analysis.excerpts import Stretch, block_samples, read_stretches
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.loads import bath, motor
@@ -136,7 +137,7 @@ def _times_s(columns: Columns, view: RecordView) -> tuple[Array, RecordView]:
     """Return the time of each row since the first, and the view with the column of times."""
     name = view.time
     if view.sample_time_s is None and name is None:
-        name = _named(columns, _TIMES)
+        name = _named(columns.values, _TIMES)
         if name is None:
             raise IdentificationError(
                 f"{columns.source}: no column of times among {', '.join(columns.values)}: name it "
@@ -166,16 +167,12 @@ def _counted_s(columns: Columns, sample_time_s: float | None) -> Array:
 def _chosen(columns: Columns, view: RecordView) -> RecordView:
     """Return the view with the names of input and output: known ones, or the two that are left."""
     taken = (view.time, view.input, view.output)
-    left = Columns(
-        columns.source,
-        {name: values for name, values in columns.values.items() if name not in taken},
-        columns.place,
-    )
+    left = [name for name in columns.values if name not in taken]
     found = {
         "input": view.input or _named(left, _INPUTS),
         "output": view.output or _named(left, _OUTPUTS),
     }
-    rest = [name for name in left.values if name not in found.values()]
+    rest = [name for name in left if name not in found.values()]
     unknown = [option for option, name in found.items() if name is None]
     if len(unknown) == len(rest):
         found |= dict(zip(unknown, rest, strict=True))
@@ -187,9 +184,9 @@ def _chosen(columns: Columns, view: RecordView) -> RecordView:
     return replace(view, input=found["input"], output=found["output"])
 
 
-def _named(columns: Columns, known: frozenset[str]) -> str | None:
-    """Return the first column whose name begins with a known word, None where there is none."""
-    for name in columns.values:
+def _named(names: Iterable[str], known: frozenset[str]) -> str | None:
+    """Return the first name that begins with a known word, None where there is none."""
+    for name in names:
         if re.split(r"[^a-z0-9]", name.lower().strip())[0] in known:
             return name
     return None
@@ -243,28 +240,25 @@ class RecordLoad:
     left_out: int
 
 
-def _used(parts: list[Part], load: IdentifiedLoad, block: int) -> tuple[tuple[float, ...], int]:
-    """Return the time at the end of each part that a fit used, and how many it left out."""
+def _load_of(name: str, parts: list[Part], block: int, structures: Sequence[Load]) -> RecordLoad:
+    """Return the load between any input and output, of the structure that the record shows."""
+    load = identify_any([one for _, one in parts], structures, block=block)
     used = [parts[place] for place in load.used]
     ends_s = (begin_s + len(one.output) // block * block * one.period_s for begin_s, one in used)
-    return tuple(ends_s), len(parts) - len(used)
+    left_out = len(parts) - len(used)
+    return RecordLoad(name, "", tuple(ends_s), load, {}, {}, time_constants(load), left_out)
 
 
 def _of_drive(name: str, parts: list[Part], block: int, configuration: Configuration) -> RecordLoad:
     """Return the load between the boost voltage and the output of a drive."""
-    structure, excerpts = build_load(configuration), [one for _, one in parts]
-    load = identify_any(excerpts, candidate_loads(configuration), block=block)
-    ends_s, left_out = _used(parts, load, block)
+    structure, section = build_load(configuration), configuration.load
+    found = _load_of(name, parts, block, candidate_loads(configuration))
     nominal = structure.physical(list(structure.numerator), list(structure.denominator))
-    return RecordLoad(
-        name=name,
-        unit=configuration.load.output_unit,
-        ends_s=ends_s,
-        load=load,
-        online={},
+    return replace(
+        found,
+        unit=section.output_unit,
         nominal=dict(zip(structure.names, nominal, strict=True)),
-        model=proposed_model(load, configuration.load),
-        left_out=left_out,
+        model=proposed_model(found.load, section),
     )
 
 
@@ -312,12 +306,12 @@ def identify_session(
     """
     session = read_session(path)
     configuration = reconfigured(session.config_text, path / "config.toml", ())
-    stretches = read_stretches(session, begin_s, end_s)
+    stretches, short = read_stretches(session, begin_s, end_s)
     parts = [(one.begin_s, one.excerpt) for one in stretches]
     found = _of_drive(session.path.name, parts, block_samples(stretches), configuration)
     known = {one.name: getattr(found, one.name) for one in fields(found)}
     known["online"] = _online(session, tuple(found.nominal), end_s)
-    known["left_out"] += divided(session, begin_s, end_s).count(None)
+    known["left_out"] += short
     used = [stretches[place] for place in found.load.used]
     return SessionLoad(**known, session=session, configuration=configuration, stretches=used)
 
@@ -337,9 +331,6 @@ def _online(session: Session, names: tuple[str, ...], end_s: float | None) -> di
 
 
 # The load of whatever contains a record: a CSV file, a table, a simulation or a session.
-
-_MEASURED = RecordView("boost_voltage_V", "output", "time_s", held=False)
-"""Columns of a simulation, which are taken at once."""
 
 
 def identify_source(
@@ -363,8 +354,9 @@ def identify_source(
         return identify_session(path, view.begin_s, view.end_s)
     if isinstance(source, closed_loop.Simulation):
         _refuse_columns(view, "a simulation")
-        measured = replace(_MEASURED, begin_s=view.begin_s, end_s=view.end_s)
-        measured = replace(measured, config=source.configuration)
+        # voltage and output of a reading are taken at once
+        measured = replace(view, input="boost_voltage_V", output="output", time="time_s")
+        measured = replace(measured, config=source.configuration, held=False)
         return _identify(columns_of_table(source.ticks), "simulation", measured)
     return _identify(columns_of_table(source), "table", view)
 
@@ -376,18 +368,11 @@ def _identify(columns: Columns, name: str, view: RecordView) -> RecordLoad:
     parts = read_record(columns, replace(view, config=config))
     block = math.ceil(sum(len(one.output) for _, one in parts) / _MOST_BLOCKS)
     if config is None:
-        return _of_any(name, parts, block, view.lags)
+        lags = (1, 2) if view.lags is None else (view.lags,)
+        return _load_of(name, parts, block, [plain_load(count) for count in lags])
     if view.lags is not None:
         raise IdentificationError("lags and a configuration were given: it says how many there are")
     return _of_drive(name, parts, block, config)
-
-
-def _of_any(name: str, parts: list[Part], block: int, lags: int | None) -> RecordLoad:
-    """Return the load between any input and output, with the lags that the record shows."""
-    structures = [plain_load(count) for count in ((1, 2) if lags is None else (lags,))]
-    load = identify_any([one for _, one in parts], structures, block=block)
-    ends_s, left_out = _used(parts, load, block)
-    return RecordLoad(name, "", ends_s, load, {}, {}, time_constants(load), left_out)
 
 
 def _refuse_columns(view: RecordView, kind: str) -> None:

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from adaptdrive.analysis import closed_loop, curves, excerpts, figures
+from adaptdrive.analysis.closed_loop import LoopCourse
 from adaptdrive.analysis.record import SessionLoad, identify_session
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
@@ -22,29 +23,6 @@ from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import ConfigurationError, Flaw, IdentificationError
 
 # A recorded session again in closed loop, with other settings.
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class LoopCourse:
-    """Course of a loop, as means over slow periods.
-
-    Attributes:
-        time_s: End of each slow period since the start.
-        reference: Set-point.
-        output: The regulated quantity.
-        boost_voltage_V: v_bst.
-        quality: Judgement of it.
-        fault: Cause that ended it early, empty for none.
-    """
-
-    time_s: Array
-    reference: Array
-    output: Array
-    boost_voltage_V: Array
-    quality: curves.Quality
-    fault: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +42,11 @@ class Comparison:
     repeated: LoopCourse
     changed: LoopCourse
     idle: tuple[str, ...]
+
+    @property
+    def courses(self) -> dict[str, LoopCourse]:
+        """The three courses by their names in table, values and figure."""
+        return {"recorded": self.recorded, "simulated": self.repeated, "changed": self.changed}
 
 
 def what_if(
@@ -91,21 +74,14 @@ def what_if(
     if not _controlled(part)[0]:
         raise IdentificationError(f"{path}: V_c was set by hand: no controller was in force then")
     # From its enabling on: what the controller has learnt at the first second used is unknown.
-    runs = excerpts.read_stretches(found.session, None, end_s)
+    runs, _ = excerpts.read_stretches(found.session, None, end_s)
     run = [one for one in runs if one.begin_s <= part.begin_s][-1]
-    columns, begin_s = run.columns, part.begin_s
-    recorded = (columns["reference"], columns["output"], columns["boost_voltage_V"])
-    idle = [
-        one
-        for one in settings
-        if _acting(found.configuration) == _acting_with(found, source, settings, one)
-    ]
     return Comparison(
         found=found,
-        recorded=_course(found, run, recorded, begin_s),
-        repeated=_simulated(found, run, found.configuration, begin_s),
-        changed=_simulated(found, run, changed, begin_s),
-        idle=tuple(idle),
+        recorded=_course(found, run, pl.DataFrame(run.columns), part.begin_s),
+        repeated=_simulated(found, run, found.configuration, part.begin_s),
+        changed=_simulated(found, run, changed, part.begin_s),
+        idle=tuple(one for one in settings if _is_idle(found, source, one)),
     )
 
 
@@ -131,16 +107,13 @@ def _acting(configuration: Configuration) -> tuple[object, ...]:
     return settings, build_load(configuration), configuration.load.pole, *drives
 
 
-def _acting_with(
-    found: SessionLoad, source: Path, settings: Sequence[str], one: str
-) -> tuple[object, ...] | None:
-    """Return the same with one setting; None where it is valid only with the others."""
+def _is_idle(found: SessionLoad, source: Path, setting: str) -> bool:
+    """Return whether a setting does not act on the loop; one that needs others does."""
     try:
-        return _acting(reconfigured(found.session.config_text, source, (one,)))
+        alone = reconfigured(found.session.config_text, source, (setting,))
     except ConfigurationError:
-        if len(settings) == 1:
-            raise
-        return None
+        return False
+    return _acting(alone) == _acting(found.configuration)
 
 
 def _simulated(
@@ -160,18 +133,17 @@ def _simulated(
         asked, hand_V = float(reference[number]), float(by_hand_V[number])
         return Order(Stage.RUN, asked, mode, pole, hand_V, bool(steady[number]))
 
-    record = closed_loop.run_loop(
+    run = closed_loop.run_loop(
         configuration,
         excerpts.disturbed_plant(found.load, build_load(found.configuration), stretch),
         order,
         len(reference),
         _start(found, stretch),
     )
-    series = [np.array(one) for one in (record.reference, record.output, record.boost_voltage_V)]
-    return _course(found, stretch, (series[0], series[1], series[2]), begin_s, record.fault)
+    return _course(found, stretch, run.ticks, begin_s, run.fault)
 
 
-def _start(found: SessionLoad, stretch: excerpts.Stretch) -> closed_loop.LoopStart:
+def _start(found: SessionLoad, stretch: excerpts.Stretch) -> closed_loop.Start:
     """Return v_bst at the start of a run of the drive, and what the daemon had trusted by then."""
     volts, prior = float(stretch.columns["boost_voltage_V"][0]), found.session.info.prior
     if stretch.begin_s <= found.configuration.load.period_s:
@@ -187,32 +159,17 @@ def _start(found: SessionLoad, stretch: excerpts.Stretch) -> closed_loop.LoopSta
 def _course(
     found: SessionLoad,
     stretch: excerpts.Stretch,
-    series: tuple[Array, Array, Array],
+    ticks: pl.DataFrame,
     begin_s: float,
     fault: str = "",
 ) -> LoopCourse:
-    """Return means over slow periods of set-point, output and boost voltage.
-
-    Those from `begin_s` on; all of them where a fault ended the run before.
-    """
-    samples, load = stretch.samples_per_period, found.configuration.load
-    output, volts = (curves.period_means(one, samples) for one in series[1:])
-    reference = series[0][samples - 1 :: samples][: len(output)]
-    ends = np.arange(1.0, len(output) + 1.0)
-    time_s = stretch.begin_s + samples * stretch.period_s * ends
-    kept = time_s > begin_s
-    if not kept.any():
-        kept[:] = True
-    reference, output, volts = reference[kept], output[kept], volts[kept]
-    span = load.reference_max - load.reference_min
-    return LoopCourse(
-        time_s=time_s[kept],
-        reference=reference,
-        output=output,
-        boost_voltage_V=volts,
-        quality=curves.quality_of(reference, output, volts, load.period_s, span),
-        fault=fault,
-    )
+    """Return the course from `begin_s` on; all of it where a fault ended the run before."""
+    samples = stretch.samples_per_period
+    ends = np.arange(1.0, len(ticks) // samples + 1.0)
+    ends_s = stretch.begin_s + samples * stretch.period_s * ends
+    first = int(np.argmax(ends_s > begin_s))
+    section = found.configuration.load
+    return closed_loop.course_of(ticks[first * samples :], samples, ends_s[first:], section, fault)
 
 
 # A session and the same with other settings, as a table, as values, and as a figure.
@@ -231,10 +188,10 @@ def as_text(comparison: Comparison) -> str:
     """Return the comparison as a table."""
     info = comparison.found.session.info
     units = {"y": info.output_unit, "v": info.manipulated.unit}
-    courses = (comparison.recorded, comparison.repeated, comparison.changed)
-    rows = [f"{'':<28}{'recorded':>12}{'simulated':>12}{'changed':>12}"]
+    courses = comparison.courses
+    rows = [f"{'':<28}" + "".join(f"{name:>12}" for name in courses)]
     for name, key, factor, quantity in _ROWS:
-        values = (factor * getattr(one.quality, key) for one in courses)
+        values = (factor * getattr(one.quality, key) for one in courses.values())
         texts = ("-" if math.isnan(value) else f"{value:.4g}" for value in values)
         named = name.format(info.manipulated.name)
         label = f"{named} {units.get(quantity, quantity)}".rstrip()
@@ -244,26 +201,20 @@ def as_text(comparison: Comparison) -> str:
         f"{comparison.recorded.quality.steps} steps of the set-point, between "
         f"{time_s[0]:.0f} s and {time_s[-1]:.0f} s of the session, its longest part without a gap"
     )
-    rows += (
-        [f"the changed loop trips: {comparison.changed.fault}"] if comparison.changed.fault else []
-    )
+    if comparison.changed.fault:
+        rows.append(f"the changed loop trips: {comparison.changed.fault}")
     return "\n".join(rows)
 
 
 def as_json(comparison: Comparison) -> dict[str, Any]:
     """Return the comparison as values for JSON; unknown numbers are null."""
-    courses = {
-        "recorded": comparison.recorded,
-        "simulated": comparison.repeated,
-        "changed": comparison.changed,
-    }
     return {
         name: {
             key: value if math.isfinite(value) else None
             for key, value in asdict(one.quality).items()
         }
         | {"fault": one.fault}
-        for name, one in courses.items()
+        for name, one in comparison.courses.items()
     }
 
 
@@ -290,8 +241,8 @@ def draw_comparison(comparison: Comparison, settings: tuple[str, ...]) -> bytes:
         )
         _draw(volts, comparison, "boost_voltage_V")
         info = comparison.found.session.info
-        unit, given = info.output_unit, info.manipulated
-        output.set_ylabel(f"output ({unit})" if unit else "output")
+        given = info.manipulated
+        output.set_ylabel(figures.labelled("output", info.output_unit))
         output.set_title(", ".join(settings) or "recorded settings")
         volts.set_title(f"{given.name}, means over slow periods")
         volts.set_ylabel(given.axis)
@@ -302,10 +253,6 @@ def draw_comparison(comparison: Comparison, settings: tuple[str, ...]) -> bytes:
 
 
 def _draw(axes: Axes, comparison: Comparison, name: str) -> None:
-    courses = (
-        ("recorded", comparison.recorded, figures.REFERENCE),
-        ("simulated", comparison.repeated, figures.FIXED),
-        ("changed", comparison.changed, figures.ADAPTIVE),
-    )
-    for label, one, look in courses:
+    looks = (figures.REFERENCE, figures.FIXED, figures.ADAPTIVE)
+    for (label, one), look in zip(comparison.courses.items(), looks, strict=True):
         axes.plot(one.time_s, getattr(one, name), label=label, **look)

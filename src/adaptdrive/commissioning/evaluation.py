@@ -10,18 +10,16 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from adaptdrive.analysis import figures, load_report
-from adaptdrive.analysis.closed_loop import run_loop
-from adaptdrive.analysis.curves import Quality, period_means, quality_of
+from adaptdrive.analysis.closed_loop import LoopCourse, course_of, run_loop
 from adaptdrive.analysis.excerpts import IdentifiedPlant
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.commissioning.course import Outcome, Samples
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.commissioning.proposal import Proposal, propose
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.loads.load import Load, to_input, to_voltage
+from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.signals import Mode, Order, Stage
 from adaptdrive.identification import identify, identify_any, result
 from adaptdrive.identification.excerpt import Excerpt
@@ -165,8 +163,6 @@ def judge_sensor(samples: Samples, configuration: Configuration, move: float) ->
 
 # Predicted response of the proposed loop: the daemon's controller on the identified load.
 
-Array = NDArray[np.float64]
-
 _PERIODS_BEFORE, _PERIODS_AFTER = 10, 60
 _SETTLED = 10.0
 """Slow periods after the step over the time constant of the pole, 1 / (1 - pole), at least."""
@@ -178,41 +174,28 @@ _POWER_SHARE = 0.5
 """Power of the load at the highest V_c over the largest power of the drive."""
 
 
-@dataclass(frozen=True, slots=True)
-class Prediction:
-    """Response to one step of the set-point, as means over slow periods.
+def refusal_of(proposed: LoopCourse, present: LoopCourse) -> str:
+    """Return why settings are not to be put to use rather than the present ones.
 
-    Attributes:
-        time_s: Middle of each slow period, from the step on.
-        output: Output.
-        boost_voltage_V: v_bst.
-        quality: Overshoot, settling, effort.
-        fault: Cause that ended it early, empty for none.
+    Args:
+        proposed: Response with them.
+        present: Response with the present ones.
     """
-
-    time_s: Array
-    output: Array
-    boost_voltage_V: Array
-    quality: Quality
-    fault: str = ""
-
-    def refusal(self, present: Prediction) -> str:
-        """Return why the settings are not to be put to use rather than the present ones."""
-        overshoot, settling_s = self.quality.overshoot, self.quality.settling_s
-        if self.fault:
-            return f"the predicted loop trips: {self.fault}"
-        shown = f"predicted overshoot {100.0 * overshoot:.1f} %"
-        if not (math.isfinite(overshoot) and math.isfinite(settling_s)):
-            return f"the loop does not settle: {shown}, settling {settling_s:.4g} s"
-        before = present.quality.overshoot
-        if overshoot > _UNSEEN and overshoot > before:
-            return f"{shown}, with the present settings {100.0 * before:.1f} %"
-        return ""
+    overshoot, settling_s = proposed.quality.overshoot, proposed.quality.settling_s
+    if proposed.fault:
+        return f"the predicted loop trips: {proposed.fault}"
+    shown = f"predicted overshoot {100.0 * overshoot:.1f} %"
+    if not (math.isfinite(overshoot) and math.isfinite(settling_s)):
+        return f"the loop does not settle: {shown}, settling {settling_s:.4g} s"
+    before = present.quality.overshoot
+    if overshoot > _UNSEEN and overshoot > before:
+        return f"{shown}, with the present settings {100.0 * before:.1f} %"
+    return ""
 
 
 def predict(
     identified: result.IdentifiedLoad, configuration: Configuration, rest_V: float, move: float
-) -> Prediction:
+) -> LoopCourse:
     """Run the fixed controller on the identified load over a step of the set-point.
 
     Args:
@@ -220,6 +203,9 @@ def predict(
         configuration: The proposed settings.
         rest_V: Boost voltage before the step.
         move: Size of the step.
+
+    Returns:
+        Its course, with the time of the middle of each slow period since the step.
     """
     load, section = build_load(configuration), configuration.load
     gain = identified.numerator[-1] / identified.denominator[-1]
@@ -239,33 +225,10 @@ def predict(
     factor = _POWER_SHARE * limits.load_power_max_W / limits.boost_reference_max_V**2
     power = np.array([factor, 0.0, 0.0])  # of v², v and v·y in the power of the load
     plant = IdentifiedPlant(identified, load, period_s, (rest_V, rest), power)
-    record = run_loop(configuration, plant, order, count, (rest_V, None))
-    output = period_means(np.array(record.output), samples)
-    volts = period_means(np.array(record.boost_voltage_V), samples)
-    reference = np.where(np.arange(len(output)) < _PERIODS_BEFORE, rest, rest + move)
-    span = section.reference_max - section.reference_min
-    return Prediction(
-        time_s=np.array(
-            [(k + 0.5 - _PERIODS_BEFORE) * section.period_s for k in range(len(output))]
-        ),
-        output=output,
-        boost_voltage_V=volts,
-        quality=quality_of(reference, output, volts, section.period_s, span),
-        fault=record.fault,
-    )
-
-
-def rest_voltage(outcome_low_V: float, outcome_high_V: float, load: Load) -> float:
-    """Return the voltage in the middle between both levels of the test.
-
-    Args:
-        outcome_low_V: V_c at rest.
-        outcome_high_V: The other level.
-        load: Input map.
-    """
-    gain, exponent = load.input_gain, load.input_exponent
-    ends = [to_input(one, gain, exponent) for one in (outcome_low_V, outcome_high_V)]
-    return to_voltage(0.5 * sum(ends), gain, exponent)
+    run = run_loop(configuration, plant, order, count, (rest_V, None))
+    middles = np.arange(0.5, len(run.ticks) // samples)
+    time_s = (middles - _PERIODS_BEFORE) * section.period_s
+    return course_of(run.ticks, samples, time_s, section, run.fault)
 
 
 # The results of commissioning: load, settings and predicted response, as text and as a figure.
@@ -289,7 +252,7 @@ class Commissioned:
     outcome: Outcome
     load: result.IdentifiedLoad
     proposal: Proposal
-    prediction: Prediction
+    prediction: LoopCourse
     before: Configuration
     refusal: str = ""
 
@@ -309,7 +272,6 @@ def _checks(found: Commissioned) -> Iterator[str]:
         f"{outcome.rest:.4g} {unit}, time to rest {outcome.settling_s:.3g} s"
     )
     yield from load_report.checks(load, unit)
-    yield from load_report.warnings(load)
 
 
 def _settings(found: Commissioned) -> Iterator[str]:
@@ -378,13 +340,12 @@ def judged(
     outcome = experiment.outcome
     if outcome is None:
         raise CommissionError("the experiment is not complete")
-    load = build_load(present)
+    target = experiment.course.target
     identified = evaluate(experiment, candidate_loads(present))
     proposal = propose(identified, text, path, experiment.course.record.coarseness())
-    rest_V = rest_voltage(outcome.low_V, outcome.high_V, load)
+    rest_V = target.middle_V(outcome.low_V, outcome.high_V)
     proposed, now = (
-        predict(identified, one, rest_V, experiment.course.target.move)
-        for one in (proposal.configuration, present)
+        predict(identified, one, rest_V, target.move) for one in (proposal.configuration, present)
     )
-    refusal = proposed.refusal(now)
+    refusal = refusal_of(proposed, now)
     return Commissioned(sensor, outcome, identified, proposal, proposed, present, refusal)

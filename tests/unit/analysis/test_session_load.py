@@ -74,7 +74,7 @@ def test_a_line_whose_frequency_wanders_has_one_period(tmp_path: Path) -> None:
     ]
     directory = create_session(tmp_path, INFO, "")
     record_messages(directory, Header(INFO, ""), make_batch([*ticks, *slower], last=True))
-    stretches = read_stretches(read_session(directory))
+    stretches, _ = read_stretches(read_session(directory))
     assert len(stretches) == 2
     for one in stretches:
         assert one.period_s == pytest.approx(1.0015 / 120.0)

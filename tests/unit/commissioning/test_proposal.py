@@ -7,10 +7,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from adaptdrive.analysis.closed_loop import LoopCourse
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.commissioning.course import Samples
-from adaptdrive.commissioning.evaluation import Prediction, evaluate, predict, rest_voltage
+from adaptdrive.commissioning.evaluation import evaluate, predict
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.commissioning.proposal import Proposal, propose
 from adaptdrive.control.design.pole_placement import (
@@ -37,7 +38,7 @@ RAISED_V = 40.0
 
 
 @cache
-def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, Prediction, float]:
+def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, LoopCourse, float]:
     """A draw, what commissioning proposes for it, what it predicts, and the voltage before."""
     random = np.random.default_rng([seed, 15])
     draw = KINDS[kind](random)
@@ -47,7 +48,7 @@ def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, Prediction, float]:
     load = build_load(draw.configuration)
     identified = evaluate(found, [load])
     proposal = propose(identified, draw.text, parameters.EXAMPLES / "drawn.toml")
-    rest_V = rest_voltage(found.outcome.low_V, found.outcome.high_V, load)
+    rest_V = draw.target.middle_V(found.outcome.low_V, found.outcome.high_V)
     prediction = predict(identified, proposal.configuration, rest_V, draw.target.move)
     return draw, proposal, prediction, rest_V
 

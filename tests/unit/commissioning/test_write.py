@@ -15,10 +15,11 @@ from typing import cast
 import numpy as np
 import pytest
 
+from adaptdrive.analysis.closed_loop import LoopCourse
 from adaptdrive.analysis.curves import Quality
 from adaptdrive.app.examine import examine_text
 from adaptdrive.cli import main
-from adaptdrive.commissioning.evaluation import Commissioned, Prediction
+from adaptdrive.commissioning.evaluation import Commissioned, refusal_of
 from adaptdrive.commissioning.proposal import refuse_unwritable, with_values, write_values
 from adaptdrive.commissioning.run import alone, write
 from adaptdrive.config.services import Mqtt
@@ -73,9 +74,10 @@ def test_a_file_that_the_settings_no_longer_suit_is_left_as_it_is(tmp_path: Path
     assert not file.with_name("motor.toml.bak").exists()
 
 
-def foreseen(overshoot: float, settling_s: float = 9.0, fault: str = "") -> Prediction:
+def foreseen(overshoot: float, settling_s: float = 9.0, fault: str = "") -> LoopCourse:
     quality = Quality(1, overshoot, settling_s, 0, 0.1, 1.0, 40.0)
-    return Prediction(np.zeros(1), np.zeros(1), np.zeros(1), quality, fault)
+    none = np.zeros(1)
+    return LoopCourse(none, none, none, none, quality, fault)
 
 
 @pytest.mark.parametrize(
@@ -92,9 +94,9 @@ def foreseen(overshoot: float, settling_s: float = 9.0, fault: str = "") -> Pred
     ],
 )
 def test_a_prediction_that_is_no_good_writes_nothing(
-    proposed: Prediction, present: Prediction, why: str
+    proposed: LoopCourse, present: LoopCourse, why: str
 ) -> None:
-    refusal = proposed.refusal(present)
+    refusal = refusal_of(proposed, present)
     assert bool(refusal) == bool(why)
     found = cast("Commissioned", SimpleNamespace(refusal=refusal))
     if why:
