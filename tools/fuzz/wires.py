@@ -18,7 +18,7 @@ from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.canopen.mapping import map_drive
 from adaptdrive.devices.canopen.profile import parse_emergency
 from adaptdrive.devices.canopen.sdo import Server
-from adaptdrive.devices.polled.registers import decode_value
+from adaptdrive.devices.polled.registers import decode, register_field
 from adaptdrive.util.errors import BusError
 from tools.fuzz.random_messages import random_message
 from tools.fuzz.target import EXAMPLES, Target
@@ -128,7 +128,8 @@ def registers(data: bytes) -> object:
     found: list[object] = []
     for register in _registers().values():
         words = [_word(data, i) for i in range(register.end - register.address)]
-        found += [decode_value(register, words, measured=measured) for measured in (True, False)]
+        fields = register_field("", register, "measured"), register_field("", register, "word")
+        found += [decode(register, field, words) for field in fields]
     return found
 
 

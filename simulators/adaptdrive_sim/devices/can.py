@@ -17,18 +17,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import can
-from cantools.database.can.message import Message
-from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import CanBus, SignalSource, SwitchSource
+from adaptdrive.config.bus import CanBus
 from adaptdrive.config.root import Configuration
-from adaptdrive.devices.can import connection, database, integrity, mapping
-from adaptdrive.devices.can.assembly import CommandFrame
+from adaptdrive.devices import description
+from adaptdrive.devices.can import connection, database, integrity, kind, mapping
+from adaptdrive.devices.can.assembly import CommandFrame, StatusFrame
 from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.codec import MessageCodec, frame_key
 from adaptdrive.devices.can.layout import compile_field, counter_modulus
-from adaptdrive.devices.description import demands_of
-from adaptdrive.util.errors import BusError, ConfigurationError
+from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 
 # Quantities of the drive in messages.
@@ -37,39 +35,10 @@ LOAD_CURRENT = "LoadCurrent"
 """Sent where the database has such a signal; no configuration needs it."""
 
 
-@dataclass(frozen=True, slots=True)
-class SignalSink:
-    """One quantity on its way into a signal.
+_Source = description.Source[database.Located]
 
-    Attributes:
-        quantity: Name of the quantity.
-        signal: Name of the signal.
-        scale: SI units per unit of the signal.
-        offset: SI value of a zero signal.
-        low: Smallest value that the signal carries.
-        high: Largest value that the signal carries.
-        modulus: Where a counter wraps, 0 for a quantity that does not.
-    """
-
-    quantity: str
-    signal: str
-    scale: float
-    offset: float
-    low: float
-    high: float
-    modulus: int
-
-    def value(self, quantities: Mapping[str, float]) -> float:
-        """The signal's value; like a converter's, it ends at the signal's range."""
-        value = (quantities[self.quantity] - self.offset) / self.scale
-        if self.modulus:
-            return value % self.modulus
-        return min(max(value, self.low), self.high)
-
-
-Sinks = list[tuple[Signal, SignalSink]]
-Page = tuple[Mapping[str, float], tuple[SignalSink, ...]]
-"""Selectors of one frame of a message, and its sinks; without multiplexing there is one page."""
+Page = tuple[Mapping[str, float], tuple[_Source, ...]]
+"""Selectors of a frame of a message, and what it shows; without multiplexing there is one page."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,15 +57,25 @@ class StatusMessage:
 
     def encode(self, number: int, quantities: Mapping[str, float]) -> bytes:
         """Make the frame of a number."""
-        selectors, sinks = self.pages[number % len(self.pages)]
-        values = {sink.signal: sink.value(quantities) for sink in sinks}
+        selectors, sources = self.pages[number % len(self.pages)]
+        values = {one.field.name: _shown(one, quantities[one.quantity]) for one in sources}
         return self.codec.encode({**selectors, **values})
+
+
+def _shown(source: _Source, quantity: float) -> float:
+    """The signal's value of a quantity; like a converter's, it ends at the signal's range."""
+    if source.quantity == "counter":
+        return quantity % counter_modulus(source.field)
+    if source.on is not None:
+        return source.on if quantity else float(not source.on)
+    low, high = source.field.ends
+    return min(max((quantity - source.offset) / source.scale, low), high)
 
 
 def load_messages(
     bus: CanBus, configuration: Configuration, source: Path
 ) -> tuple[list[StatusMessage], tuple[CommandFrame, ...]]:
-    """Find the drive's messages in the configured database.
+    """Find the drive's messages in the configured database, as the daemon does.
 
     Args:
         bus: The configuration's bus.
@@ -109,63 +88,33 @@ def load_messages(
     Raises:
         ConfigurationError: The database and the configuration do not fit together.
     """
-    catalogue = database.open_catalogue(bus, source)
-    sinks = _find_sinks(catalogue, configuration)
-    sent = catalogue.sinks(configuration.signals.command, demands_of(configuration))
-    found = mapping.find_orders(catalogue, sent)
-    if catalogue.flaws:
-        raise ConfigurationError(source, catalogue.flaws)
-    half_cycle_ms = 500.0 / configuration.drive.line_frequency_Hz
-    names = sorted(sinks, key=lambda name: (name == bus.clock_message, name))
-    status = [_status(catalogue.known(one), sinks[one], bus, half_cycle_ms) for one in names]
-    return status, tuple(mapping.build_orders(catalogue, bus.integrity, found))
+    mapped = kind.mapped(configuration, source)
+    half_cycle_ms = 1e3 * configuration.timing.half_cycle_s
+    found = [_status(one, bus, half_cycle_ms) for one in mapped.statuses]
+    sent = [one for one in found if any(shown for _, shown in one.pages)]
+    sent.sort(key=lambda one: (one.codec.name == bus.clock_message, one.codec.name))
+    return sent, mapped.orders
 
 
-def _find_sinks(catalogue: database.SignalCatalogue, whole: Configuration) -> dict[str, Sinks]:
-    """Signals and what goes into them, by message."""
-    sinks: dict[str, Sinks] = {}
-    for quantity, given, _ in whole.signals.entries():
-        if quantity not in QUANTITIES:
-            continue
-        hit = catalogue.find(given.signal, f"signals.{quantity}")
-        if hit is not None:
-            sink = _sink(catalogue, quantity, hit[1], given)
-            sinks.setdefault(hit[0].name, []).append((hit[1], sink))
-    for name, found in sinks.items():
-        mapped = SignalSource(signal=f"{name}.{LOAD_CURRENT}")
-        for signal in catalogue.known(name).signals:
-            if signal.name == LOAD_CURRENT:
-                found.append((signal, _sink(catalogue, "load_current_A", signal, mapped)))
-    return sinks
-
-
-def _status(message: Message, sinks: Sinks, bus: CanBus, half_cycle_ms: float) -> StatusMessage:
+def _status(status: StatusFrame, bus: CanBus, half_cycle_ms: float) -> StatusMessage:
     """Return a message with every page, whether or not it carries something.
 
     What several pages carry is in each of them.
     """
+    message = status.sources[0].item.message
+    sources = [one for one in status.sources if one.quantity in QUANTITIES]
+    for signal in message.signals:
+        if sources and signal.name == LOAD_CURRENT:
+            located, field = database.Located(message, signal), compile_field(signal, measured=True)
+            sources.append(description.Source("load_current_A", located, field, 1.0, 0.0, None, ""))
     pages = tuple(
-        (choice, tuple(one for s, one in sinks if mapping.is_carried(message, s, choice)))
+        (choice, tuple(s for s in sources if mapping.is_carried(message, s.item.signal, choice)))
         for choice in mapping.choices(message, message.signals)
     )
     every_ticks = bus.clock_ticks
     if message.name != bus.clock_message:
         every_ticks = max(1, round(1e3 * database.cycle_time_s(message) / half_cycle_ms))
     return StatusMessage(MessageCodec(message, bus.integrity.get(message.name)), pages, every_ticks)
-
-
-def _sink(
-    catalogue: database.SignalCatalogue, quantity: str, signal: Signal, given: SignalSource
-) -> SignalSink:
-    scale, offset = given.scale, given.offset
-    if isinstance(given, SwitchSource) and given.on is not None:
-        on = catalogue.resolve(compile_field(signal), given.on, f"signals.{quantity}.on") or 0.0
-        off = 0.0 if on else 1.0
-        scale, offset = 1.0 / (on - off), -off / (on - off)
-    layout = compile_field(signal, measured=True)
-    low, high = sorted((layout.physical(layout.low), layout.physical(layout.high)))
-    modulus = counter_modulus(compile_field(signal)) if quantity == "counter" else 0
-    return SignalSink(quantity, signal.name, scale, offset, low, high, modulus)
 
 
 # The drive on its bus.

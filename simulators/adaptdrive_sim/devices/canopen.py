@@ -10,21 +10,20 @@ the host's heartbeat: when that stays away it switches off by itself.
 """
 
 import asyncio
-import functools
 import math
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
 
 import can
 
-from adaptdrive.config.bus import COMMANDED, CanOpenBus, SignalSource
+from adaptdrive.config.bus import COMMANDED, CanOpenBus
 from adaptdrive.config.root import Configuration
 from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.connection import FrameReader
-from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
-from adaptdrive.util.errors import BusError, ConfigurationError
+from adaptdrive.devices.canopen.port import mapped
+from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices import canopen_objects
 from adaptdrive_sim.devices.can import send
 from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
@@ -97,7 +96,11 @@ class CanOpenDrive(DriveNode):
         super().__init__(drive)
         assert isinstance(configuration.bus, CanOpenBus)  # noqa: S101 - `KINDS` has looked
         self._config = configuration.bus
-        self._shown, self._obeyed = _addresses(configuration, self._config, source)
+        mapping = mapped(configuration, source)
+        shown = {one.quantity: one for one in mapping.sources}
+        self._shown = {name: shown[name] for name in QUANTITIES if name in shown}
+        taken = (one for order in mapping.orders for one in order.sinks)
+        self._obeyed = [one for one in taken if one.name in COMMANDED]
         self._wire = canopen_objects.NodeNetwork(self._put)
         eds, node_id = str(self._config.eds), self._config.node_id
         self._objects = canopen_objects.Objects(eds, node_id, self._wire)
@@ -195,19 +198,16 @@ class CanOpenDrive(DriveNode):
                 self._emergency(_NO_ERROR, 0)
         values = dict.fromkeys(COMMANDED, 0.0)
         if state in {PowerState.SWITCHED_ON, PowerState.ENABLED}:
-            values |= {
-                name: self._objects.number(address) * source.scale + source.offset
-                for name, (address, source) in self._obeyed.items()
-            }
+            for one in self._obeyed:
+                values[one.name] = (self._objects.number(one.item.address) - one.base) / one.factor
         self._obey(values | {"bridge": state is PowerState.ENABLED})
 
     def _half_cycle(self, frame: Frame) -> None:
         """Carry out one zero crossing of the line."""
-        for name, value in frame.quantities().items():
-            if name in self._shown:
-                address, source = self._shown[name]
-                shown = (value - source.offset) / source.scale
-                self._objects.put(address, shown % 65536 if name == "counter" else shown)
+        quantities = frame.quantities()
+        for name, source in self._shown.items():
+            shown = (quantities[name] - source.offset) / source.scale
+            self._objects.put(source.item.address, shown % 65536 if name == "counter" else shown)
         self._watch_host()
         self._watch_fault(frame.fault)
         if self._clock() - self._beat_s >= self._objects.number(_PRODUCED) * 1e-3 > 0.0:
@@ -264,32 +264,3 @@ class CanOpenDrive(DriveNode):
     def _put(self, can_id: int, data: bytes) -> None:
         frame = can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
         self.counts["sent" if send(self._bus, frame) else "dropped"] += 1
-
-
-_Places = dict[str, tuple[canopen_objects.Address, SignalSource]]
-
-
-def _addresses(whole: Configuration, bus: CanOpenBus, source: Path) -> tuple[_Places, _Places]:
-    """Return the address of each quantity, and of each part of the command."""
-    catalogue = ObjectCatalogue(*read_eds(bus.eds, bus.node_id, source))
-    find = functools.partial(_places, catalogue)
-    measured = ((name, one) for name, one, _ in whole.signals.entries())
-    shown = find((one for one in measured if one[0] in QUANTITIES), "signals")
-    command = whole.signals.command
-    obeyed = find(((name, getattr(command, name)) for name in COMMANDED), "signals.command")
-    if catalogue.flaws:
-        raise ConfigurationError(source, catalogue.flaws)
-    return shown, obeyed
-
-
-def _places(
-    catalogue: ObjectCatalogue, named: Iterable[tuple[str, SignalSource | None]], place: str
-) -> _Places:
-    found: _Places = {}
-    for name, given in named:
-        if given is None:
-            continue
-        entry = catalogue.find(given.signal, f"{place}.{name}")
-        if entry is not None:
-            found[name] = entry.address, given
-    return found

@@ -12,8 +12,10 @@ from types import SimpleNamespace
 
 import canopen
 from canopen.objectdictionary import ODVariable
+from canopen.objectdictionary.datatypes import FLOAT_TYPES, SIGNED_TYPES
 from canopen.sdo.exceptions import SdoAbortedError
 
+from adaptdrive.devices.field import natural_limits
 from adaptdrive.util.errors import BusError
 
 Address = tuple[int, int]
@@ -82,10 +84,9 @@ class Objects:
         variable = self._variable(address)
         if variable is None:
             return
-        bits = len(variable)
-        if variable.data_type not in _REALS:
-            signed = variable.data_type in _SIGNED
-            low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+        if variable.data_type not in FLOAT_TYPES:
+            signed = variable.data_type in SIGNED_TYPES
+            low, high = natural_limits(len(variable), signed=signed, real=False)
             value = min(max(round(value), low), high)
         self._node.set_data(*address, variable.encode_raw(value))
 
@@ -150,7 +151,3 @@ class Objects:
 
     def _variable(self, address: Address) -> ODVariable | None:
         return self._node.object_dictionary.get_variable(*address)
-
-
-_REALS = (0x08, 0x11)
-_SIGNED = (0x02, 0x03, 0x04, 0x10, 0x12, 0x13, 0x14, 0x15)

@@ -24,9 +24,10 @@ from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from adaptdrive.config import polled
-from adaptdrive.config.bus import COMMANDED, MEASURED, SignalSource
+from adaptdrive.config.bus import COMMANDED, MEASURED
 from adaptdrive.config.root import Configuration
 from adaptdrive.devices.modbus.link import describe_bus
+from adaptdrive.devices.polled import mapping
 from adaptdrive.devices.polled import registers as codec
 from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
@@ -173,16 +174,27 @@ def _block(table: Table) -> list[SimData]:
 
 # The simulated drive as a device on Modbus: a TCP server, or an RTU device on a serial port.
 
+_SHOWN = (*QUANTITIES, mapping.HEARTBEAT)
+
 
 class ModbusDrive(DriveNode):
     """One simulated drive on one link."""
 
-    def __init__(self, drive: SimulatedDrive, configuration: Configuration, _source: Path) -> None:
+    def __init__(self, drive: SimulatedDrive, configuration: Configuration, source: Path) -> None:
+        """Build the device; nothing is opened yet.
+
+        Raises:
+            ConfigurationError: Registers and configuration do not fit together.
+        """
         super().__init__(drive)
         assert isinstance(configuration.bus, polled.ModbusTcp | polled.ModbusRtu)  # noqa: S101 - `KINDS` has looked
         self._config = configuration.bus
         self._tables = tables_of(self._config.registers.values())
-        self._signals = configuration.signals
+        poll = mapping.map_drive(configuration, self._config, source, passive=False)
+        measured = {one.quantity: one for _, sources in poll.reads for one in sources}
+        self._shown = {name: measured[name] for name in _SHOWN if name in measured}
+        sinks = (one for _, sinks in poll.writes for one in sinks if one.only is not False)
+        self._obeyed = [one for one in sinks if one.name in COMMANDED]
         self._heartbeat: list[int] | None = None
 
     async def run(self, opened: Callable[[str], None]) -> None:
@@ -198,8 +210,9 @@ class ModbusDrive(DriveNode):
     def show(self, frame: Frame) -> None:
         """Put a half cycle into the registers; bits that share a register are joined."""
         quantities, words = frame.quantities(), dict[tuple[str, int], int]()
-        for name, source in self._shown():
-            register = self._config.registers[source.signal]
+        quantities[mapping.HEARTBEAT] = quantities["counter"]
+        for name, source in self._shown.items():
+            register = source.item.register
             value = (quantities[name] - source.offset) / source.scale
             if name in MEASURED:
                 content = codec.encode_value(register, bounded(register, value))
@@ -209,13 +222,6 @@ class ModbusDrive(DriveNode):
                 words[place] = word | (0 if register.bits is None else words.get(place, 0))
         for (table, address), word in words.items():
             self._tables[table][address] = word
-
-    def _shown(self) -> Iterator[tuple[str, SignalSource]]:
-        for name, source, _ in self._signals.entries():
-            if name in QUANTITIES:
-                yield name, source
-        if self._config.heartbeat.drive is not None:
-            yield "counter", SignalSource(signal=self._config.heartbeat.drive)
 
     def read(self) -> Mapping[str, Table]:
         """Both tables as they were at the end of the last half cycle."""
@@ -231,7 +237,7 @@ class ModbusDrive(DriveNode):
             return ExcCodes.ILLEGAL_VALUE
         self._tables["holding"] = holding
         name = self._config.heartbeat.daemon
-        heartbeat = None if name is None else self._words(name, self._tables)
+        heartbeat = None if name is None else _words(self._config.registers[name], self._tables)
         if heartbeat is not None and heartbeat == self._heartbeat:
             self._refuse("counter_stuck")
             return None
@@ -242,22 +248,15 @@ class ModbusDrive(DriveNode):
     def _command(self, tables: Mapping[str, Table]) -> dict[str, float] | None:
         """Return the command of the daemon; None when a register has an invalid value."""
         found: dict[str, float] = {}
-        for name in COMMANDED:
-            given = getattr(self._signals.command, name)
-            if given is None:
-                continue
-            register = self._config.registers[given.signal]
-            value = codec.decode_value(register, self._words(given.signal, tables), measured=False)
+        for one in self._obeyed:
+            register = one.item.register
+            value = codec.decode(register, one.field, _words(register, tables))
             if value is None:
                 return None
-            if isinstance(given, SignalSource):
-                found[name] = value * given.scale + given.offset
-            else:
-                found[name] = value == _switching(given.on, register)
+            switches = one.name == "bridge"
+            on = one.base + one.factor
+            found[one.name] = value == on if switches else (value - one.base) / one.factor
         return found
-
-    def _words(self, name: str, tables: Mapping[str, Table]) -> list[int]:
-        return [tables[table][at] for table, at in _places(self._config.registers[name])]
 
 
 def tables_of(registers: Iterable[polled.Register]) -> dict[str, Table]:
@@ -276,6 +275,10 @@ def _places(register: polled.Register) -> list[tuple[str, int]]:
     return [(register.table, address) for address in range(register.address, register.end)]
 
 
+def _words(register: polled.Register, tables: Mapping[str, Table]) -> list[int]:
+    return [tables[table][address] for table, address in _places(register)]
+
+
 def not_available(register: polled.Register) -> float:
     """The count that means `no value`."""
     if register.not_available is not None:
@@ -284,13 +287,6 @@ def not_available(register: polled.Register) -> float:
         return math.nan
     span = 1 << 16 * register.words
     return -span // 2 if register.type.startswith("int") else span - 1
-
-
-def _switching(given: int | str | None, register: polled.Register) -> int:
-    """Return the count of a switch, which a configuration may name."""
-    if given is None:
-        return register.on
-    return register.names[given] if isinstance(given, str) else given
 
 
 def bounded(register: polled.Register, value: float) -> float:

@@ -190,7 +190,7 @@ def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> Port:
     bus = bus_of(configuration, polled.ScpiBus)
-    poll = mapping.planned(configuration, bus.as_registers(), source, passive=passive)
+    poll = mapping.map_drive(configuration, bus.as_registers(), source, passive=passive)
     return Port(bus, poll, configuration.timing, clock)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from adaptdrive.config import Configuration, parse_configuration
 from adaptdrive.config.polled import ModbusRtu, ModbusTcp
-from adaptdrive.devices.description import demands_of
 from adaptdrive.devices.polled.mapping import map_drive
 from adaptdrive.util.errors import ConfigurationError
 from tests.unit.config.documents import SOURCE
@@ -57,9 +56,7 @@ def flaws(**changes: str | None) -> dict[str, str]:
         configuration = parse(**changes)
         bus = configuration.bus
         assert isinstance(bus, ModbusTcp | ModbusRtu)
-        half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
-        demands = demands_of(configuration)
-        map_drive(bus, configuration.signals, half_cycle_s, SOURCE, demands)
+        map_drive(configuration, bus, SOURCE, passive=False)
     except ConfigurationError as error:
         return {flaw.place: flaw.message for flaw in error.flaws}
     return {}

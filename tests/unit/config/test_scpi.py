@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.app.examine import examine_text
+from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.polled import ScpiBus, ScpiValue
 from adaptdrive.config.references import scpi_flaws
@@ -29,7 +30,14 @@ def test_the_values_of_the_page_are_valid_and_set_in_two_lines() -> None:
     tables = {"boost_voltage_V": "voltage", "fault": "error", "bridge": "output"}
     signals = Signals.model_validate({**tables, "command": command})
     assert list(scpi_flaws(bus, signals)) == []
-    poll = map_drive(bus.as_registers(), signals, 1.0 / 120.0)
+    whole = load_configuration(EXAMPLE)
+    ends = {"boost_reference_min_V": 10.0, "boost_reference_max_V": 50.0}
+    limits = whole.drive.limits.model_copy(update=ends)
+    trips = whole.interlocks.model_copy(update={"boost_voltage_max_V": 60.0})
+    drive = whole.drive.model_copy(update={"limits": limits})
+    changes = {"signals": signals, "drive": drive, "interlocks": trips}
+    small = whole.model_copy(update=changes)
+    poll = map_drive(small, bus.as_registers(), EXAMPLE, passive=False)
     assert (len(poll.reads), len(poll.writes)) == (3, 2)
 
 

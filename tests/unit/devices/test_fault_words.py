@@ -78,7 +78,7 @@ def test_a_fault_bit_names_the_register_with_its_code(names: str, said: str) -> 
         bus__registers__last=f"{{ address = 9, table = 'input'{names} }}",
         signals__faults="[{ signal = 'state', names = { 0 = 'tripped' }, code = 'last' }]",
     )
-    poll = map_registers(configuration.bus, configuration.signals, 1.0 / 120.0)  # type: ignore[arg-type]
+    poll = map_registers(configuration, configuration.bus, "bench.toml", passive=False)  # type: ignore[arg-type]
     assembly = PollAssembly(poll, Heartbeat())
     for state, last, fault in ((0, 7, ""), (8, 7, f"state bit 0 tripped, {said}"), (0, 7, "")):
         assembly.begin()
@@ -108,7 +108,7 @@ def test_a_state_register_has_healthy_values(key: str, healthy: str) -> None:
         key: given if key == "signals__fault" else f"[{given}]",
     }
     configuration = parse(**words)
-    poll = map_registers(configuration.bus, configuration.signals, 1.0 / 120.0)  # type: ignore[arg-type]
+    poll = map_registers(configuration, configuration.bus, "bench.toml", passive=False)  # type: ignore[arg-type]
     assembly = PollAssembly(poll, Heartbeat())
     for state, fault in ((4, 0), (2, 0), (3, 3), (7, 3)):
         assembly.begin()
@@ -151,7 +151,7 @@ def test_a_drive_on_modbus_has_several_words() -> None:
     fault = "[{ signal = 'state', mask = 0x100, names = { 8 = 'hw_overcurrent' } }, 'power']"
     warning = "{ signal = 'state', mask = 0x01, names = { 0 = 'derating' } }"
     configuration = parse(signals__faults=fault, signals__warning=warning)
-    poll = map_registers(configuration.bus, configuration.signals, 1.0 / 120.0)  # type: ignore[arg-type]
+    poll = map_registers(configuration, configuration.bus, "bench.toml", passive=False)  # type: ignore[arg-type]
     assembly = PollAssembly(poll, Heartbeat())
     assembly.begin()
     for block, sources in poll.reads:

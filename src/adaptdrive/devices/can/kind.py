@@ -216,11 +216,11 @@ def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> port.Port:
     return port.Port(
-        bus_of(configuration, CanBus), _mapped(configuration, source), clock, takes_all=passive
+        bus_of(configuration, CanBus), mapped(configuration, source), clock, takes_all=passive
     )
 
 
-def _mapped(
+def mapped(
     configuration: Configuration, source: Path | str = "configuration"
 ) -> assembly.CanMapping:
     """Return the messages of a drive, held against what its limits ask."""
@@ -233,7 +233,7 @@ def _mapped(
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:
     """Yield the age of each value, with the slack of a message that comes seldom."""
     stale_s = configuration.interlocks.stale_s
-    statuses = _mapped(configuration, source).statuses
+    statuses = mapped(configuration, source).statuses
     for one in (one for status in statuses for one in status.sources):
         keys = f"bus.stale_cycles, {one.cycle_by}" if one.slack_s else "interlocks.stale_s"
         yield f"stale {one.quantity}", stale_s + one.slack_s, keys
@@ -241,14 +241,14 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, and what may hide the bridge."""
-    timing, mapped = configuration.timing, _mapped(configuration)
-    sources = [(status.codec.name, one) for status in mapped.statuses for one in status.sources]
+    timing, found = configuration.timing, mapped(configuration)
+    sources = [(status.codec.name, one) for status in found.statuses for one in status.sources]
     slack_s = min(one.slack_s for _, one in sources)
     yield from timeout_cautions(timing, "bus.clock_ticks", slack_s)
     for message, one in sources:
         if one.quantity == "bridge":
             yield from _bridge_cautions(timing, message, one)
-    yield from mapped.cautions
+    yield from found.cautions
 
 
 def _bridge_cautions(timing: Timing, message: str, bridge: _Source) -> Iterator[Flaw]:

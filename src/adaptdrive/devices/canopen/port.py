@@ -361,13 +361,13 @@ _LOST_HEARTBEATS = 2
 def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> Port | CanOpenWatch:
-    bus, mapping = bus_of(configuration, CanOpenBus), _mapped(configuration, source)
+    bus, mapping = bus_of(configuration, CanOpenBus), mapped(configuration, source)
     if passive:
         return CanOpenWatch(bus, mapping, clock)
     return Port(bus, mapping, configuration.timing, clock)
 
 
-def _mapped(configuration: Configuration, source: Path | str = "configuration") -> CanOpenMapping:
+def mapped(configuration: Configuration, source: Path | str = "configuration") -> CanOpenMapping:
     """Return the objects of a drive, held against what its limits ask."""
     bus, demands = bus_of(configuration, CanOpenBus), description.demands_of(configuration)
     return map_drive(bus, configuration.signals, source, demands)
@@ -382,7 +382,7 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield that a few lost frames may stop the drive, and what is wrong in its EDS."""
     bus = bus_of(configuration, CanOpenBus)
-    yield from _mapped(configuration).cautions
+    yield from mapped(configuration).cautions
     survived = math.ceil(bus.heartbeat_timeout_s / bus.heartbeat_s - 1e-9) - 2
     if survived < _LOST_HEARTBEATS:
         yield Flaw(

@@ -239,7 +239,7 @@ def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> Port:
     bus = _bus(configuration)
-    poll = mapping.planned(configuration, bus, source, passive=passive)
+    poll = mapping.map_drive(configuration, bus, source, passive=passive)
     return Port(bus, poll, configuration.timing, clock)
 
 

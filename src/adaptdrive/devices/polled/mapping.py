@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from adaptdrive.config import Configuration, polled
-from adaptdrive.config.bus import CommandSwitch, Signals
+from adaptdrive.config.bus import CommandSwitch
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.description import Sink, Source
@@ -180,24 +180,20 @@ def _has_bridge(block: tuple[registers.Block, tuple[Source[Named], ...]]) -> boo
 
 
 def map_drive(
-    bus: polled.ModbusBus,
-    signals: Signals,
-    half_cycle_s: float,
-    source: Path | str = "configuration",
-    demands: description.Demands = description.NO_DEMANDS,
+    configuration: Configuration, bus: polled.ModbusBus, source: Path | str, *, passive: bool
 ) -> Poll:
     """Plan the polls of a drive.
 
     Args:
-        bus: `[bus]`; its references are those of a validated configuration.
-        signals: `[signals]`.
-        half_cycle_s: Half a line cycle.
-        source: The configuration, for the error message.
-        demands: What the registers must be able to carry.
+        configuration: The drive.
+        bus: `[bus]`, with a register for each value.
+        source: The configuration's file, for error messages.
+        passive: Whether nothing may be written to the drive.
 
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
     """
+    signals, demands = configuration.signals, description.demands_of(configuration)
     catalogue = RegisterCatalogue(bus.registers)
     bound = catalogue.sources(signals.entries(), demands)
     sources, sinks = [*bound], catalogue.sinks(signals.command, demands)
@@ -233,29 +229,11 @@ def map_drive(
     )
     flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
     if not flaws:
+        half_cycle_s = configuration.timing.half_cycle_s
         wanted = (bus.poll_ticks * half_cycle_s, "bus.poll_ticks", half_cycle_s)
         flaws += registers.cycle_flaws(bus, [*poll.exchanges()], *wanted)
     if flaws:
         raise ConfigurationError(source, flaws)
-    return poll
-
-
-def planned(
-    configuration: Configuration, bus: polled.ModbusBus, source: Path | str, *, passive: bool
-) -> Poll:
-    """Return the polls of a drive.
-
-    Args:
-        configuration: The drive.
-        bus: `[bus]`, with a register for each value.
-        source: The configuration's file, for error messages.
-        passive: Whether nothing may be written to the drive.
-
-    Raises:
-        ConfigurationError: Bus and signals do not fit; every flaw is listed.
-    """
-    half_cycle_s, demands = configuration.timing.half_cycle_s, description.demands_of(configuration)
-    poll = map_drive(bus, configuration.signals, half_cycle_s, source, demands)
     return replace(poll, setup=()) if passive else poll  # without a command, nothing is written
 
 

@@ -66,17 +66,6 @@ def register_field(name: str, register: Register, use: Use) -> Field:
     )
 
 
-def decode_value(register: Register, words: Sequence[int], *, measured: bool) -> float | None:
-    """The scaled value, None when it must not be used.
-
-    Args:
-        register: How the value is coded.
-        words: Its registers, as many as `register.words`.
-        measured: Whether it is a measurement, and no word.
-    """
-    return decode(register, register_field("", register, "measured" if measured else "word"), words)
-
-
 def decode(register: Register, field: Field, words: Sequence[int]) -> float | None:
     """The scaled value, None when it must not be used.
 

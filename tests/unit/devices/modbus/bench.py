@@ -309,7 +309,7 @@ def plan(**changes: str | None) -> Poll:
     """What a poll of a configuration reads and writes."""
     configuration = parse(**changes)
     assert isinstance(configuration.bus, ModbusTcp | ModbusRtu)
-    return map_drive(configuration.bus, configuration.signals, 1.0 / 120.0, "bench.toml")
+    return map_drive(configuration, configuration.bus, "bench.toml", passive=False)
 
 
 def build(clock: Callable[[], float] | None = None, /, **changes: str | None) -> modbus.Port:

@@ -10,7 +10,12 @@ from hypothesis import strategies as st
 from pymodbus.client.mixin import ModbusClientMixin
 
 from adaptdrive.config.polled import Register, RegisterRange
-from adaptdrive.devices.polled.registers import decode_value, encode_count, encode_value
+from adaptdrive.devices.polled.registers import (
+    decode,
+    encode_count,
+    encode_value,
+    register_field,
+)
 
 TYPES = {
     "uint16": (ModbusClientMixin.DATATYPE.UINT16, st.integers(0, 0xFFFE)),
@@ -29,6 +34,11 @@ TYPES = {
 
 def register(**keys: object) -> Register:
     return Register.model_validate({"address": 0, "table": "input", **keys})
+
+
+def decode_value(described: Register, words: list[int], *, measured: bool) -> float | None:
+    field = register_field("", described, "measured" if measured else "word")
+    return decode(described, field, words)
 
 
 @pytest.mark.parametrize("order", ["big", "little"])

@@ -57,7 +57,7 @@ def test_the_figures_of_the_examples_are_those_of_the_page(kind: str) -> None:
     name = f"motor-modbus-{kind}.toml"
     whole = load_configuration(ROOT / "deploy" / "examples" / name)
     assert isinstance(whole.bus, ModbusBus)
-    exchanges = list(map_drive(whole.bus, whole.signals, HALF_CYCLE_s).exchanges())
+    exchanges = list(map_drive(whole, whole.bus, name, passive=False).exchanges())
     total = sum(exchange_bytes(whole.bus, exchange) for exchange in exchanges)
     time_ms = 1e3 * sum(exchange_s(whole.bus, exchange) for exchange in exchanges)
     row = next(line for line in PAGE.splitlines() if line.startswith(f"| `{name}`"))

@@ -76,7 +76,7 @@ def plan(**changes: str | None) -> tuple[ModbusTcp, Poll]:
     configuration = parse(**{**COILS, **changes})
     bus = configuration.bus
     assert isinstance(bus, ModbusTcp)
-    return bus, map_drive(bus, configuration.signals, 1.0 / 120.0, "bench.toml")
+    return bus, map_drive(configuration, bus, "bench.toml", passive=False)
 
 
 async def polled(bus: ModbusTcp, poll: Poll) -> dict[str, float | None]:
