@@ -122,7 +122,7 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
     """
     configuration = _overridden(file.load_configuration(path), settings)
     drive = build_drive(configuration, settings, report)
-    node = build_node(configuration, drive, path)
+    node = KINDS[configuration.bus.type].drive(drive, configuration, path)
     modules = build_sensors(configuration, drive, path)
     jobs: list[Job] = [partial(node.run, partial(_say_bus, "drive", configuration.drive.name))]
     for bus, one in zip(configuration.sensor_bus, modules, strict=True):
@@ -192,17 +192,6 @@ def _command_timeout_s(configuration: root.Configuration, settings: DeviceSettin
         return timeout_s
     reading_s = 0.5 * configuration.bus.ticks_per_reading / configuration.drive.line_frequency_Hz
     return max(timeout_s, PATIENCE_READINGS * reading_s)
-
-
-def build_node(
-    configuration: root.Configuration, drive: drives.SimulatedDrive, path: Path
-) -> drives.DriveNode:
-    """Put the drive on the bus that its configuration names.
-
-    Raises:
-        ConfigurationError: Bus and signals do not fit together.
-    """
-    return KINDS[configuration.bus.type].drive(drive, configuration, path)
 
 
 def build_sensors(

@@ -147,32 +147,25 @@ class SimulatedDrive:
         """True if the drive takes V_c instead of a line-current scale."""
         return self._holder is not None
 
-    def command(self, current_scale_S: float, bridge: bool, now_s: float) -> None:
+    def command(self, value: float, bridge: bool, now_s: float) -> None:
         """Take one valid command.
 
         Args:
-            current_scale_S: Line-current scale k.
+            value: V_c of a drive that holds its own boost voltage, 0 for no line current; of
+                another one the line-current scale k.
             bridge: Whether the bridge may feed the load.
             now_s: Monotonic time of its arrival.
         """
+        if self.holds_voltage:
+            self._reference_V = value
+        else:
+            self._scale_S = value
         if self._commanded_s is None:
-            self.report("commanded", current_scale_S=current_scale_S, bridge=bridge)
+            self.report("commanded", current_scale_S=self._scale_S, bridge=bridge)
         self._commanded_s = now_s
-        self._scale_S = current_scale_S
         self._bridge = bridge
         if not bridge and self.world.boost.voltage_V < self._over_V:
             self._overvoltage = False
-
-    def hold(self, boost_reference_V: float, bridge: bool, now_s: float) -> None:
-        """Take one valid command of a drive that holds its own boost voltage.
-
-        Args:
-            boost_reference_V: V_c; 0 for no line current.
-            bridge: Whether the bridge may feed the load.
-            now_s: Monotonic time of its arrival.
-        """
-        self._reference_V = boost_reference_V
-        self.command(self._scale_S, bridge, now_s)
 
     def inject(self, fault: int) -> None:
         """Make the drive faulty, or clear what was injected with 0.
@@ -281,11 +274,9 @@ class DriveNode:
     def _obey(self, values: Mapping[str, float]) -> None:
         """Obey a command, by the names of the configuration; what is not among them is 0."""
         self.counts["obeyed"] += 1
-        bridge, now_s = bool(values.get("bridge", 0.0)), self._clock()
-        if self._drive.holds_voltage:
-            self._drive.hold(values.get("boost_reference_V", 0.0), bridge, now_s)
-        else:
-            self._drive.command(values.get("current_scale_S", 0.0), bridge, now_s)
+        name = "boost_reference_V" if self._drive.holds_voltage else "current_scale_S"
+        bridge = bool(values.get("bridge", 0.0))
+        self._drive.command(values.get(name, 0.0), bridge, self._clock())
 
     def _refuse(self, reason: str) -> None:
         """Count a refusal, and report the first of its kind: a flood must not fill the log."""

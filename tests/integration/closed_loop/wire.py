@@ -24,7 +24,7 @@ from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.reports import Hub, LoadReport, Report, State, Subscription
 from adaptdrive.runtime.requests import Enable
 from adaptdrive.runtime.tick_support import ServiceManager
-from adaptdrive_sim.device import DeviceSettings, build_drive, build_node, build_sensors
+from adaptdrive_sim.device import KINDS, DeviceSettings, build_drive, build_sensors
 from adaptdrive_sim.devices.can import CanDrive
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.modbus import ModbusDrive, serving
@@ -154,7 +154,7 @@ async def _begin(
     clock: Any,
 ) -> Coroutine[Any, Any, None]:
     """Put the drive on its bus; what keeps it alive."""
-    node = build_node(configuration, drive, path)
+    node = KINDS[configuration.bus.type].drive(drive, configuration, path)
     node._clock = clock
     if isinstance(node, ModbusDrive):
         await stack.enter_async_context(serving(node._config, {node._config.device_id: node}))

@@ -217,10 +217,9 @@ class Course:
         taken = self.actuator(command)
         if taken is None:
             return
-        if self.drive.holds_voltage:
-            self.drive.hold(taken.boost_reference_V, taken.bridge, self.daemon.now)
-        else:
-            self.drive.command(taken.current_scale_S, taken.bridge, self.daemon.now)
+        holds = self.drive.holds_voltage
+        value = taken.boost_reference_V if holds else taken.current_scale_S
+        self.drive.command(value, taken.bridge, self.daemon.now)
 
 
 def weaker(share: float) -> Callable[[Command], Command]:

@@ -136,7 +136,7 @@ def test_a_simulated_inverter_gives_the_few_hertz_that_it_is_asked_for(asked: fl
     settings = DeviceSettings(line_drift_Hz=0.0, initial_voltage_V=20.0)
     drive = build_drive(packaged("siemens-v20"), settings, lambda *_, **__: None)
     for tick in range(1000):
-        drive.hold(asked, bridge=True, now_s=0.01 * tick)
+        drive.command(asked, bridge=True, now_s=0.01 * tick)
         drive.tick(0.01 * (tick + 1))
     assert drive.world.boost.voltage_V == pytest.approx(asked, abs=1e-3)
 

@@ -12,7 +12,7 @@ import crccheck.crc
 import pytest
 
 from adaptdrive.config.file import validate_configuration
-from adaptdrive_sim.device import DeviceSettings, build_drive, build_node
+from adaptdrive_sim.device import KINDS, DeviceSettings, build_drive
 from adaptdrive_sim.devices.can import CanDrive
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 
@@ -29,7 +29,7 @@ class Host:
         self.events: list[tuple[str, dict[str, Any]]] = []
         settings = DeviceSettings(initial_voltage_V=300.0)
         self._drive = build_drive(configuration, settings, self._report)
-        node = build_node(configuration, self._drive, EXAMPLE)
+        node = KINDS[configuration.bus.type].drive(self._drive, configuration, EXAMPLE)
         assert isinstance(node, CanDrive)
         self._node, self._now_s, self.alive = node, 1000.0, 0
         node._clock = lambda: self._now_s
