@@ -118,7 +118,9 @@ def moving(
 # The loop as it was designed: true load, no limits, delays or noise.
 
 
-def follow_ideal(references: Array, loads: Sequence[Load], pole: float, period_s: float) -> Array:
+def follow_ideal(
+    references: Array, loads: Sequence[Load], pole: float, period_s: float, *, paper: bool = False
+) -> Array:
     """Follow set-points with the loop as it was designed.
 
     Args:
@@ -126,6 +128,7 @@ def follow_ideal(references: Array, loads: Sequence[Load], pole: float, period_s
         loads: The true load in each slow period; all of one order.
         pole: Closed-loop pole.
         period_s: T_k.
+        paper: Whether it was designed as in the paper.
 
     Returns:
         y[k], from rest on the first reference.
@@ -137,7 +140,7 @@ def follow_ideal(references: Array, loads: Sequence[Load], pole: float, period_s
     outputs = [0.0] * len(moves)
     for k, load in enumerate(loads):
         if k == 0 or load != loads[k - 1]:
-            weights = _weights(load, desired, period_s)
+            weights = _weights(load, desired, period_s, paper=paper)
         for i in range(min(k + 1, len(weights))):
             outputs[k] += weights[i] * moves[k - i]
         for i in range(1, min(k + 1, len(desired))):
@@ -145,9 +148,13 @@ def follow_ideal(references: Array, loads: Sequence[Load], pole: float, period_s
     return np.array(outputs) + first
 
 
-def _weights(load: Load, desired: Vector, period_s: float) -> Vector:
+def _weights(load: Load, desired: Vector, period_s: float, *, paper: bool) -> Vector:
     """A_m(1)/B(1) · B."""
-    _, b = held_model(list(load.numerator), list(load.denominator), period_s, 0.0, 0.0)
+    model = list(load.numerator), list(load.denominator)
+    if paper:
+        _, b = load.paper_model(*model, period_s)
+    else:
+        _, b = held_model(*model, period_s, 0.0, 0.0)
     scale = total(desired) / total(b)
     return [one * scale for one in b]
 

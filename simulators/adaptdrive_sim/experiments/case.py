@@ -16,7 +16,6 @@ A_m are where the design wants them, so that a larger load changes B's zero at m
 import dataclasses
 import math
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -26,14 +25,10 @@ from adaptdrive.analysis.curves import judge_step
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control import controller, signals
-from adaptdrive.control.design.pole_placement import desired_polynomial
-from adaptdrive.control.loads.discretise import held_model
-from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.vectors import Vector
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim import parameters, world
-from adaptdrive_sim.course import Array, Course, Run
+from adaptdrive_sim.course import Array, Course, Run, follow_ideal
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
 from adaptdrive_sim.parameters import EXAMPLES
 from adaptdrive_sim.site import Site
@@ -243,31 +238,11 @@ def model_errors(experiment: Experiment, design: Design, record: Run) -> Array:
 
 def ideal_output(experiment: Experiment, design: Design) -> Array:
     """Output of the ideal loop at every slow instant, from rest on the lower reference."""
-    desired = desired_polynomial(experiment.pole, 2 * experiment.nominal().order)
-    low, times_s = experiment.reference.low, experiment.times_s()
-    steps = [experiment.reference.value(time_s) - low for time_s in times_s]
-    found = np.zeros(len(times_s))
-    for k, time_s in enumerate(times_s):
-        weights = _weights(experiment.true_load(experiment.size_at(time_s)), design, experiment)
-        forced = sum(weights[i] * steps[k - i] for i in range(min(k + 1, len(weights))))
-        free = sum(desired[i] * found[k - i] for i in range(1, min(k + 1, len(desired))))
-        found[k] = forced - free
-    return low + found
-
-
-def _weights(load: Load, design: Design, experiment: Experiment) -> Vector:
-    """A_m(1)/B(1) · B."""
-    desired = desired_polynomial(experiment.pole, 2 * load.order)
-    b = _numerator(load, design, experiment.period_s)
-    return [sum(desired) / sum(b) * value for value in b]
-
-
-@cache
-def _numerator(load: Load, design: Design, period_s: float) -> Vector:
-    numerator, denominator = list(load.numerator), list(load.denominator)
-    if design == "paper":
-        return load.paper_model(numerator, denominator, period_s)[1]
-    return held_model(numerator, denominator, period_s, 0.0, 0.0)[1]
+    times_s, reference = experiment.times_s(), experiment.reference
+    references = np.array([reference.low, *(reference.value(time_s) for time_s in times_s)])
+    loads = [experiment.true_load(float(size)) for size in experiment.sizes_at([0.0, *times_s])]
+    pole, period_s, paper = experiment.pole, experiment.period_s, design == "paper"
+    return follow_ideal(references, loads, pole, period_s, paper=paper)[1:]
 
 
 def rms_between(record: Run, errors: Array, first_s: float, last_s: float) -> float:

@@ -174,15 +174,11 @@ def experiment_figure(outcome: Outcome) -> Figure:
 
 
 def draw(figure_of: Callable[[Outcome], Figure], outcome: Outcome, path: Path) -> None:
-    """Draw a figure of an experiment as a PNG."""
+    """Draw a figure of an experiment as a PNG, the same bytes each time."""
     with figures.journal():
-        save(figure_of(outcome), path)
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure as a PNG, the same bytes each time."""
-    FigureCanvasAgg(figure)
-    figure.savefig(path, dpi=figures.DPI, metadata={"Software": None})
+        figure = figure_of(outcome)
+        FigureCanvasAgg(figure)
+        figure.savefig(path, dpi=figures.DPI, metadata={"Software": None})
 
 
 def _draw_motor(outcome: Outcome) -> Figure:
