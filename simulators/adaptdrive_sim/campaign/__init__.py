@@ -22,7 +22,7 @@ from adaptdrive_sim.parameters import SEED_MAX, check_range
 
 AnyCampaign = settings.Campaign | settings.BathCampaign | batteries.BatteryCampaign
 
-_TYPES: dict[str, tuple[type[AnyCampaign], type[drawn.Trial], Callable[[Any, int], Any]]] = {
+_TYPES: dict[str, tuple[type[AnyCampaign], Callable[..., report.Trial], Callable[..., Any]]] = {
     "motor": (settings.Campaign, stands.Stand, stands.draw),
     "bath": (settings.BathCampaign, stands.BathStand, stands.draw_bath),
     "battery": (batteries.BatteryCampaign, batteries.BatteryTrial, batteries.draw_battery),
@@ -39,10 +39,10 @@ def read_any_campaign(path: Path) -> AnyCampaign:
     return settings.read_campaign_of(path, {name: one[0] for name, one in _TYPES.items()})
 
 
-def trial_of(campaign: AnyCampaign, seed: int) -> drawn.Trial:
+def trial_of(campaign: AnyCampaign, seed: int) -> report.Trial:
     """Return the run of a campaign that a seed stands for."""
     _, trial, draw_scenario = _TYPES[campaign.type]
-    return trial(draw_scenario(campaign, seed))  # type: ignore[call-arg]  # each has its own
+    return trial(draw_scenario(campaign, seed))
 
 
 def run_seed(campaign: AnyCampaign, seed: int) -> drawn.Row:
@@ -119,8 +119,8 @@ def run_campaign(
         seconds = time.monotonic() - started_s
     report.write_results(rows, output)
     report.print_results(rows, seconds, path, console)
-    if summary := _TYPES[campaign.type][1].summarise(rows):
-        console.print(summary)
+    if isinstance(campaign, batteries.BatteryCampaign):
+        console.print(batteries.summarise(rows))
     return rows
 
 

@@ -15,7 +15,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim import course, site
-from adaptdrive_sim.campaign.drawn import Row, Trial, columns_of, each, uniform
+from adaptdrive_sim.campaign.drawn import Row, columns_of, each, uniform
 from adaptdrive_sim.campaign.settings import CampaignFile, CampaignTable, LineRanges, Range, within
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
@@ -219,8 +219,11 @@ def ideal_current(references: course.Array, pole: float) -> course.Array:
     return found
 
 
-class BatteryTrial(Trial):
-    """One scenario of a battery; judged at constant current, over the step of the set-point."""
+class BatteryTrial:
+    """One scenario of a battery; judged at constant current, over the step of the set-point.
+
+    It has what `drawn.DrawnRun` has for the results.
+    """
 
     cycle_periods = 100
 
@@ -239,10 +242,10 @@ class BatteryTrial(Trial):
         own, plant = self.scenario, Battery(self.scenario.battery())
         drive = site.OperatedDrive(own.configuration(), World(plant, own.world()))
         drive.begin(mode)
-        series_Ohm = plant.series_Ohm
+        series_Ohm = plant.resistance_Ohm
 
         def age(time_s: float) -> None:
-            plant.series_Ohm = series_Ohm * own.series_at(time_s)
+            plant.resistance_Ohm = series_Ohm * own.series_at(time_s)
 
         run = drive.follow(own.duration_s, own.setpoint_at, age)
         run.interlock = int(bool(run.trip))
@@ -277,15 +280,15 @@ class BatteryTrial(Trial):
         within: NDArray[np.bool_] = run["time_s"] >= _BEGINS_s
         return within & (np.arange(len(run.trace)) < end)
 
-    @staticmethod
-    def summarise(rows: list[Row]) -> str:
-        """Return the time that adaptive was in force, and the largest ripple."""
-        shares = np.array([row["adaptive_share"] for row in rows])
-        ripples = np.array([row["ripple_found"] for row in rows])
-        largest = 100.0 * np.max(ripples, initial=0.0, where=np.isfinite(ripples))
-        half = np.count_nonzero(shares >= 0.5)
-        return (
-            f"adaptive in force for half of the constant current or more in {half} of "
-            f"{len(rows)} runs, median {100.0 * np.median(shares):.0f} %; "
-            f"largest ripple {largest:.2f} % peak to peak"
-        )
+
+def summarise(rows: list[Row]) -> str:
+    """Return the time that adaptive was in force, and the largest ripple."""
+    shares = np.array([row["adaptive_share"] for row in rows])
+    ripples = np.array([row["ripple_found"] for row in rows])
+    largest = 100.0 * np.max(ripples, initial=0.0, where=np.isfinite(ripples))
+    half = np.count_nonzero(shares >= 0.5)
+    return (
+        f"adaptive in force for half of the constant current or more in {half} of "
+        f"{len(rows)} runs, median {100.0 * np.median(shares):.0f} %; "
+        f"largest ripple {largest:.2f} % peak to peak"
+    )

@@ -190,52 +190,16 @@ def within_reach(low: float, step: float, reach: Range) -> Range:
     return low, low + height
 
 
-class Trial(ABC):
-    """The run of one seed, for as many controllers as are to run it.
-
-    Attributes:
-        step: Height of the reference's step.
-        cycle_periods: Slow periods at the end of a run that show whether it is stable.
-        largest_movement: Movement of the output by the reference's step or by the largest
-            disturbance.
-    """
-
-    step: float
-    cycle_periods: int
-    largest_movement: float
-
-    @abstractmethod
-    def columns(self) -> Row:
-        """Return the drawn values as columns of the results; `changes` of the load among them."""
-
-    @abstractmethod
-    def run(self, mode: signals.Mode) -> Run:
-        """Run a controller."""
-
-    def described(self, run: Run) -> Run:
-        """Return a run with more columns for its file."""
-        return run
-
-    @abstractmethod
-    def errors(self, run: Run) -> Array:
-        """Return the differences to the designed loop that count, as shares of the step."""
-
-    @abstractmethod
-    def seen(self, run: Run) -> Row:
-        """Return what a run of the adaptive controller shows, as columns of the results."""
-
-    @staticmethod
-    def summarise(rows: list[Row]) -> str:  # noqa: ARG004 - most loads have nothing to add
-        """Return what is printed below the tables that every load has."""
-        return ""
-
-
-class DrawnRun(Trial):
+class DrawnRun(ABC):
     """The course of one scenario of a load that is regulated from start to end.
 
     Attributes:
         own: The controller.
         seed: The seed that it was drawn from.
+        step: Height of the reference's step.
+        cycle_periods: Slow periods at the end of a run that show whether it is stable.
+        largest_movement: Movement of the output by the reference's step or by the largest
+            disturbance.
         times_s: The slow instants.
         references: r[k].
         sizes: What changes of the load.
@@ -254,6 +218,7 @@ class DrawnRun(Trial):
     targets: Array
     burdens: Array
     disturbances: Array
+    largest_movement: float
     over_s = 0.0
 
     def __init__(self, own: Deployed, scenario: Drawn, offset: float, shown: float) -> None:

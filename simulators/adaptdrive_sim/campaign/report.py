@@ -18,10 +18,14 @@ from rich.table import Table
 
 from adaptdrive.analysis import figures
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.drawn import DrawnRun, Row, Trial
+from adaptdrive_sim.campaign.batteries import BatteryTrial
+from adaptdrive_sim.campaign.drawn import DrawnRun, Row
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.figure import CONTROLLERS, SYMBOLS, mark_in_force, minutes_of
 from adaptdrive_sim.experiments.reproduce import Claim, print_claims
+
+Trial = DrawnRun | BatteryTrial
+"""The run of one seed, for as many controllers as are to run it."""
 
 # Judges a run by criteria that every load shares.
 
@@ -276,7 +280,9 @@ def influences(rows: list[Row]) -> Figure:
 def repeat(trial: Trial, seed: int, output: Path, console: Console) -> None:
     """Run one seed with both controllers; write run-SEED.parquet, and a picture."""
     modes = Mode.FIXED, Mode.ADAPTIVE
-    runs = {mode.value: trial.described(trial.run(mode)) for mode in modes}
+    runs = {mode.value: trial.run(mode) for mode in modes}
+    if isinstance(trial, DrawnRun):
+        runs = {name: trial.described(run) for name, run in runs.items()}
     path = output / f"run-{seed}.parquet"
     pq.write_table(pa.concat_tables([run.table(mode=name) for name, run in runs.items()]), path)
     for name, value in judge(trial, *runs.values()).items():
