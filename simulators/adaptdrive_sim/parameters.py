@@ -27,12 +27,6 @@ SEED_MAX = 2**63 - 1
 class ParameterError(AdaptdriveError):
     """A parameter of a simulated plant lies outside its range."""
 
-    def __init__(self, place: str, value: float, rule: str) -> None:
-        self.place = place
-        self.value = value
-        self.rule = rule
-        super().__init__(f"{place} = {value!r} {rule}")
-
 
 def quantity(default: float, unit: str, description: str, low: float, high: float) -> Any:  # noqa: ANN401 - a field
     """Make a dataclass field that carries its own documentation and range.
@@ -70,7 +64,8 @@ def check_range(place: str, value: float, low: float, high: float, unit: str) ->
         ParameterError: Names the place, the value and the range.
     """
     if not (math.isfinite(value) and low <= value <= high):
-        raise ParameterError(place, value, f"must lie in {low:g}…{high:g} {unit}".rstrip())
+        rule = f"must lie in {low:g}…{high:g} {unit}".rstrip()
+        raise ParameterError(f"{place} = {value!r} {rule}")
 
 
 def example_tables(name: str) -> dict[str, Any]:

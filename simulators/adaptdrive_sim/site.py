@@ -5,7 +5,6 @@ nothing waits: time passes as fast as the machine counts it.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -35,7 +34,6 @@ class Site:
         sample: What the drive measured at the end of the last half cycle.
         snapshot: The last snapshot, None before the first.
         decision: What the slow half made of it.
-        upcoming: Set-points to come that no order has.
     """
 
     def __init__(self, controller: Controller, world: World, wire: Wire | None = None) -> None:
@@ -50,7 +48,6 @@ class Site:
         self.sample: Sample = world.at_rest()
         self.snapshot: signals.Snapshot | None = None
         self.decision: signals.Decision | None = None
-        self.upcoming: tuple[float, ...] = ()
         self._rates = controller.settings.rates
         self._schedule = schedule.Schedule(controller, self._rates.latency_ticks)
 
@@ -68,8 +65,6 @@ class Site:
         command = self._schedule.tick(measurement, order)
         snapshot = self._schedule.take_snapshot()
         if snapshot is not None:
-            if self.upcoming:
-                snapshot = replace(snapshot, upcoming=self.upcoming)
             self.snapshot, self.decision = snapshot, self._schedule.decide(snapshot)
         return command, snapshot is not None
 
@@ -78,10 +73,7 @@ class Site:
         scale_S = command.current_scale_S
         if self.wire is not None:
             scale_S = rounded(scale_S, self.wire.scale_quantum_S)
-        if disturbance is None:
-            self.sample = self.world.step(scale_S, command.bridge)
-        else:
-            self.sample = self.world.step_disturbed(scale_S, command.bridge, disturbance)
+        self.sample = self.world.step(scale_S, command.bridge, disturbance)
 
     def rest(self, course: Course) -> None:
         """Put the plant at rest where a course starts, and start the controller on it.
@@ -116,10 +108,9 @@ class Site:
         """Run a course that has begun at rest; return the interlock that has ended it."""
         world, load = self.world, self.world.load
         ticks, noise = self._rates.ticks_per_period, course.disturbances.tolist()
-        self.sample = world.step_disturbed(world.current_scale_S, world.bridge, noise[0])
+        self.sample = world.step(world.current_scale_S, world.bridge, noise[0])
         for k, reference in enumerate(course.references.tolist()):
             change_plant(load, course, k)
-            self.upcoming = course.upcoming(k)
             order = signals.Order(course.stage(k), reference, course.mode, course.pole)
             for n in range(k * ticks, (k + 1) * ticks):
                 measurement = self.measure(n)

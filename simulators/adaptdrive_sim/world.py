@@ -204,8 +204,6 @@ class WorldParameters:
         boost: The boost stage.
         coupling: The dc/dc stage.
         noise: Measurement noise of the output.
-        sampling_phase_rad: Where in the ripple the boost voltage is sampled, as a phase of the
-            line's double frequency; 0 is the zero crossing, where the ripple vanishes.
         seed: Seed of the noise.
     """
 
@@ -213,7 +211,6 @@ class WorldParameters:
     boost: BoostParameters = field(default_factory=BoostParameters)
     coupling: CouplingParameters = field(default_factory=CouplingParameters)
     noise: NoiseParameters = field(default_factory=NoiseParameters)
-    sampling_phase_rad: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -241,16 +238,11 @@ class World:
         self.bridge = False
         self.sensor_fault = 0
         self._generator = np.random.default_rng(self.parameters.seed)
-        self.noise = self.parameters.noise
+        self.set_noise(self.parameters.noise)
 
-    @property
-    def noise(self) -> NoiseParameters:
-        """Measurement noise of the output; may be changed at any time."""
-        return self._noise
-
-    @noise.setter
-    def noise(self, noise: NoiseParameters) -> None:
-        self._noise = noise
+    def set_noise(self, noise: NoiseParameters) -> None:
+        """Let the measurement of the output have a noise from now on."""
+        self.noise = noise
         self._draws = None if noise.silent else samples(noise, self._generator)
 
     @property
@@ -258,18 +250,13 @@ class World:
         """The regulated quantity without measurement noise."""
         return self.load.output
 
-    @property
-    def true_model(self) -> dict[str, float]:
-        """Parameters of the load's linear model, by formula."""
-        return self.load.model(self.coupling.ratio, self.coupling.droop_Ohm)
-
     def truth(self) -> dict[str, float]:
         """The true state and parameters, for comparison with measurements and estimates."""
         return {
             "tick": self.tick,
             "half_cycle_s": self.line.half_cycle_s,
             **self.load.state(),
-            **self.true_model,
+            **self.load.model(self.coupling.ratio, self.coupling.droop_Ohm),
             "output": self.true_output,
             "boost_voltage_V": self.boost.voltage_V,
             "line_voltage_V": self.line.voltage_V,
@@ -287,7 +274,7 @@ class World:
         peak_V = self.line.voltage_V * 2.0**0.5 if self.boost.has_rectifier else 0.0
         if not boost_voltage_V >= peak_V:
             rule = f"must be at least the line's peak of {peak_V:.1f} V"
-            raise ParameterError("boost_voltage_V", boost_voltage_V, rule)
+            raise ParameterError(f"boost_voltage_V = {boost_voltage_V!r} {rule}")
         source_V = self.coupling.ratio * boost_voltage_V
         self.load.settle(source_V, self.coupling.droop_Ohm)
         conductance_S, offset_A = self.coupling.draw(self.load.emf_V, self.load.resistance_Ohm)
@@ -313,46 +300,41 @@ class World:
         duration_s, current_A = line.half_cycle_s, self.load_current_A
         return Sample(self.tick, duration_s, boost_V, line.voltage_V, 0.0, output, current_A)
 
-    def step(self, current_scale_S: float, bridge: bool) -> Sample:
+    def step(
+        self, current_scale_S: float, bridge: bool, disturbance: float | None = None
+    ) -> Sample:
         """Run one half cycle under the latched command, then latch the given one.
 
         Args:
             current_scale_S: Line-current scale k computed from the last frame.
             bridge: Whether the bridge may feed the load, as above.
+            disturbance: Measurement noise; that of the world when left out.
 
         Returns:
             The frame at the end of the half cycle.
         """
-        disturbance = 0.0 if self._draws is None else next(self._draws)
-        return self.step_disturbed(current_scale_S, bridge, disturbance)
-
-    def step_disturbed(self, current_scale_S: float, bridge: bool, disturbance: float) -> Sample:
-        """Run one half cycle like `step`, with a given measurement noise."""
-        line, boost = self.line, self.boost
+        if disturbance is None:
+            disturbance = 0.0 if self._draws is None else next(self._draws)
+        line = self.line
         line.advance()
         duration_s = line.half_cycle_s
         boost_V = self._run(line.voltage_V, duration_s)
-        if self.parameters.sampling_phase_rad:
-            boost_V += boost.ripple_V(self.parameters.sampling_phase_rad, duration_s)
         self.tick += 1
         self.current_scale_S = current_scale_S
         self.bridge = bridge
-        load_W, output = boost.mean_load_W, self.load.output + disturbance
+        load_W, output = self.boost.mean_load_W, self.load.output + disturbance
         line_V, current_A = line.voltage_V, self.load_current_A
         return Sample(self.tick, duration_s, boost_V, line_V, load_W, output, current_A)
 
     def _run(self, line_V: float, duration_s: float) -> float:
         """Advance boost stage and load under the latched command."""
-        load, boost, scale_S = self.load, self.boost, self.current_scale_S
-        if not self.bridge:
-            load.coast(duration_s)
-            self.load_current_A = 0.0
-            return boost.advance(scale_S, line_V, 0.0, 0.0, duration_s)
-        emf_V = load.emf_V
-        conductance_S, offset_A = self.coupling.draw(emf_V, load.resistance_Ohm)
-        end_V = boost.advance(scale_S, line_V, conductance_S, offset_A, duration_s)
+        load, boost, emf_V = self.load, self.boost, self.load.emf_V
+        conductance_S = offset_A = 0.0
+        if self.bridge:
+            conductance_S, offset_A = self.coupling.draw(emf_V, load.resistance_Ohm)
+        end_V = boost.advance(self.current_scale_S, line_V, conductance_S, offset_A, duration_s)
         source_V = self.coupling.ratio * boost.mean_voltage_V
-        if source_V > emf_V or self.parameters.boost.bidirectional:
+        if self.bridge and (source_V > emf_V or self.parameters.boost.bidirectional):
             self.load_current_A = load.drive(source_V, self.coupling.droop_Ohm, duration_s)
         else:
             load.coast(duration_s)

@@ -128,9 +128,17 @@ def _plant(world: World, kind: type[Plant]) -> Plant:
     return world.load
 
 
-def _put(kind: type, name: str) -> Action:
-    """Return the effect that sets an attribute of a plant of one kind."""
-    return lambda world, _drive, value, _: setattr(_plant(world, kind), name, value)
+def _put(
+    kind: type, name: str, ends: tuple[float, float], unit: str, attribute: str = ""
+) -> Action:
+    """Return the effect that sets an attribute of a plant of one kind, within a range."""
+
+    def put(world: World, _drive: Drive, value: float, _: float) -> None:
+        plant: object = _plant(world, kind)
+        check_range(name, value, *ends, unit)
+        setattr(plant, attribute or name, value)
+
+    return put
 
 
 def _change_disks(world: World, _drive: Drive, disks: int, _: float) -> None:
@@ -138,7 +146,7 @@ def _change_disks(world: World, _drive: Drive, disks: int, _: float) -> None:
 
 
 def _set_noise(world: World, _drive: Drive, noise_V: float, _: float) -> None:
-    world.noise = dataclasses.replace(world.noise, sigma=noise_V)
+    world.set_noise(dataclasses.replace(world.noise, sigma=noise_V))
 
 
 def _inject(_world: World, drive: Drive, fault: int, _: float) -> None:
@@ -154,11 +162,6 @@ def _disturb_sensors(world: World, drive: Drive, sensor_fault: int, _: float) ->
     world.sensor_fault = sensor_fault
 
 
-def _set_charge(world: World, _drive: Drive, charge: float, _: float) -> None:
-    check_range("charge", charge, 0.0, 1.0, "")
-    _plant(world, battery.Battery).charge = charge
-
-
 _LACKING: dict[type, str] = {
     motor.Motor: "this load has no shaft",
     bath.Bath: "this load holds no water",
@@ -169,15 +172,15 @@ _LASTING = ("sag", "volume_gal")
 
 _ACTIONS: dict[str, Action] = {
     "disks": _change_disks,
-    "torque_Nm": _put(motor.Motor, "torque_Nm"),
+    "torque_Nm": _put(motor.Motor, "torque_Nm", (0.0, 100.0), "N m"),
     "sag": lambda world, _, sag, duration_s: world.line.sag(sag, duration_s),
     "noise_V": _set_noise,
     "fault": _inject,
     "sensor_fault": _disturb_sensors,
     "volume_gal": lambda world, _, gal, duration_s: _plant(world, bath.Bath).fill(gal, duration_s),
-    "inflow_L_per_min": _put(bath.Bath, "inflow_L_per_min"),
-    "series_Ohm": _put(battery.Battery, "series_Ohm"),
-    "charge": _set_charge,
+    "inflow_L_per_min": _put(bath.Bath, "inflow_L_per_min", (0.01, 100.0), "L/min"),
+    "series_Ohm": _put(battery.Battery, "series_Ohm", (1e-4, 1e2), "Ω", "resistance_Ohm"),
+    "charge": _put(battery.Battery, "charge", (0.0, 1.0), ""),
 }
 """Effect of each, with its value and with its duration."""
 

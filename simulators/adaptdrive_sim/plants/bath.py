@@ -47,6 +47,7 @@ class Bath:
     Attributes:
         output: Temperature above that of the inflow at the start, as the sensor shows it.
         water_K: Temperature above that, where the sensor lags.
+        inflow_L_per_min: Cold water flowing in.
         inflow_K: Temperature of the inflow at the start.
         inflow_shift_K: Temperature of the inflow above that.
         heater_W: Mean power of the heater over the last step.
@@ -64,9 +65,7 @@ class Bath:
         self._mass_kg = parameters.volume_gal * GALLON_kg
         self._target_kg = self._mass_kg
         self._filling_kg_s = 0.0
-        self._inflow_W_per_K = parameters.inflow_L_per_min / 60.0 * HEAT_J_per_kgK
-        self._decay_s = math.nan
-        self._decay = math.nan
+        self.inflow_L_per_min = parameters.inflow_L_per_min
         self._drift_K_per_s = parameters.drift_K_per_h / 3600.0
         self._turns_in_s = parameters.turn_s
         self._ageing_Ohm_per_s = parameters.heater_Ohm * parameters.ageing_per_h / 3600.0
@@ -76,23 +75,14 @@ class Bath:
         """Return the present volume of the bath in US gallons."""
         return self._mass_kg / GALLON_kg
 
-    @property
-    def inflow_L_per_min(self) -> float:
-        """Cold water flowing in."""
-        return 60.0 * self._inflow_W_per_K / HEAT_J_per_kgK
-
-    @inflow_L_per_min.setter
-    def inflow_L_per_min(self, inflow_L_per_min: float) -> None:
-        check_range("inflow_L_per_min", inflow_L_per_min, 0.01, 100.0, "L/min")
-        self._let_in(inflow_L_per_min)
-
     def disturb(self, inflow: float) -> None:
         """Let a multiple of the inflow at the start flow in from now on."""
-        self._let_in(inflow * self.parameters.inflow_L_per_min)
+        self.inflow_L_per_min = inflow * self.parameters.inflow_L_per_min
 
-    def _let_in(self, inflow_L_per_min: float) -> None:
-        self._inflow_W_per_K = inflow_L_per_min / 60.0 * HEAT_J_per_kgK
-        self._decay_s = math.nan
+    @property
+    def _inflow_W_per_K(self) -> float:
+        """Heat that the inflow takes."""
+        return self.inflow_L_per_min / 60.0 * HEAT_J_per_kgK
 
     @property
     def resistance_K_per_W(self) -> float:
@@ -116,7 +106,6 @@ class Bath:
 
     def _move_level(self, mass_kg: float, over_s: float) -> None:
         self._target_kg = mass_kg
-        self._decay_s = math.nan
         if over_s > 0.0:
             self._filling_kg_s = (self._target_kg - self._mass_kg) / over_s
         else:
@@ -161,13 +150,8 @@ class Bath:
 
     def _warm(self, duration_s: float) -> None:
         rest = self.heater_W * self.resistance_K_per_W + self.inflow_shift_K
-        if self._filling_kg_s != 0.0:
-            decay = self._fill_step(duration_s)
-        elif self._decay_s == duration_s:
-            decay = self._decay
-        else:
-            decay = self._decay = self._steady_decay(duration_s)
-            self._decay_s = duration_s
+        filling = self._filling_kg_s != 0.0
+        decay = self._fill_step(duration_s) if filling else self._steady_decay(duration_s)
         if self.parameters.sensor_s > 0.0:
             self.water_K = rest + (self.water_K - rest) * decay
             lag = math.exp(-duration_s / self.parameters.sensor_s)

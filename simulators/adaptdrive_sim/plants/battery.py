@@ -45,6 +45,7 @@ class Battery:
     """Cells, relaxation elements and charge.
 
     Attributes:
+        resistance_Ohm: Series resistance, R_0.
         output: Charging current, mean over the last half line cycle.
         charge: State of charge, 0 to 1; beyond, the curve's end is extended.
         relaxed_V: Voltages of the relaxation elements.
@@ -64,18 +65,6 @@ class Battery:
         self.output = 0.0
         self.charge = parameters.charge
         self.relaxed_V = [0.0, 0.0]
-        self._decays_s = math.nan
-        self._decays = [1.0, 1.0]
-
-    @property
-    def series_Ohm(self) -> float:
-        """Series resistance, R_0."""
-        return self.resistance_Ohm
-
-    @series_Ohm.setter
-    def series_Ohm(self, series_Ohm: float) -> None:
-        check_range("series_Ohm", series_Ohm, 1e-4, 1e2, "Ω")
-        self.resistance_Ohm = series_Ohm
 
     @property
     def open_circuit_V(self) -> float:
@@ -157,14 +146,9 @@ class Battery:
 
     def _carry(self, current_A: float, duration_s: float) -> None:
         """Let a constant current flow for a time."""
-        own = self.parameters
-        if self._decays_s != duration_s:
-            self._decays_s = duration_s
-            taus_s = own.relaxation_s, own.relaxation_2_s
-            self._decays = [math.exp(-duration_s / tau_s) for tau_s in taus_s]
-        one, two = self._decays[0], self._decays[1]
-        rest_V, rest_2_V = current_A * own.relaxation_Ohm, current_A * own.relaxation_2_Ohm
-        relaxed = self.relaxed_V
-        relaxed[0] = rest_V + (relaxed[0] - rest_V) * one
-        relaxed[1] = rest_2_V + (relaxed[1] - rest_2_V) * two
+        own, relaxed = self.parameters, self.relaxed_V
+        taus_s = own.relaxation_s, own.relaxation_2_s
+        for i, resistance_Ohm in enumerate(self._relaxation_Ohm()):
+            rest_V = current_A * resistance_Ohm
+            relaxed[i] = rest_V + (relaxed[i] - rest_V) * math.exp(-duration_s / taus_s[i])
         self.charge += current_A * duration_s / (3600.0 * own.capacity_Ah)

@@ -1,8 +1,7 @@
 """The power stage: line, boost pre-regulator, drive that holds its output, coupled dc/dc stage.
 
-The line's frequency drifts, its voltage wanders and sags. Drift and wander are slow sines with
-periods of their own, so that a run is the same each time. A sag takes a fraction off the voltage
-for a while and ends by itself.
+The line's frequency drifts as a slow sine, so that a run is the same each time. A sag takes a
+fraction off the voltage for a while and ends by itself.
 
 State x = v_bst², for which the stage is linear in its command:
 
@@ -15,9 +14,8 @@ summed: with t in half cycles of length T, g = 2TG/C, h = 2TH/C and x = Σ x_n t
     (n + 1)·x_(n+1) = h·v_n − g·x_n  (+ 2TkV_rms²/C for n = 0),   Σ v_i·v_(n−i) = x_n
 
 Otherwise, as where the load current stops, one fourth-order Runge-Kutta step is taken, with the
-cubic through both ends for the middle. The 120 Hz ripple that averaging removes comes back as an
-analytic term: with the input power P·(1 − cos 2ωt), v carries −P·sin(2ωt)/(2·C·ω·v), which
-vanishes at the zero crossing.
+cubic through both ends for the middle. The 120 Hz ripple that averaging removes vanishes at the
+zero crossing, where the drive samples.
 
 While the line is on, the rectifier's diodes do not let v fall below the line's peak; a capacitor
 below it is charged towards it through the precharge resistor.
@@ -42,7 +40,7 @@ class Sample(NamedTuple):
     Attributes:
         tick: Half cycles since the start.
         tick_period_s: Length of the elapsed half cycle.
-        boost_voltage_V: v_bst at the sampling phase, ripple included.
+        boost_voltage_V: v_bst at the zero crossing, where its ripple vanishes.
         line_voltage_V: Line voltage of the elapsed half cycle, rms.
         load_power_W: Mean power from the boost capacitor over the elapsed half cycle.
         output: Regulated quantity with measurement noise.
@@ -61,6 +59,7 @@ class Sample(NamedTuple):
 # The ac line.
 
 SAG_MAX_s = 60.0
+_DRIFT_rad_s = 2.0 * math.pi / 97.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +68,7 @@ class LineParameters:
 
     frequency_Hz: float = quantity(60.0, "Hz", "mean frequency", 40.0, 70.0)
     drift_Hz: float = quantity(0.0, "Hz", "amplitude of the frequency drift", 0.0, 1.0)
-    drift_period_s: float = quantity(97.0, "s", "period of the frequency drift", 1.0, 1e6)
     voltage_V: float = quantity(120.0, "V", "mean voltage, rms", 1.0, 1e3)
-    wander: float = quantity(0.0, "", "amplitude of the voltage's wander, fraction", 0.0, 0.3)
-    wander_period_s: float = quantity(41.0, "s", "period of the voltage's wander", 1.0, 1e6)
 
     def __post_init__(self) -> None:
         check_quantities(self)
@@ -102,12 +98,8 @@ class Line:
         self.time_s = 0.0
         self.voltage_V = parameters.voltage_V
         self.half_cycle_s = 0.5 / parameters.frequency_Hz
-        self._steady = parameters.drift_Hz == 0.0 and parameters.wander == 0.0
-        self._drift_rad_s = 2.0 * math.pi / parameters.drift_period_s
-        self._wander_rad_s = 2.0 * math.pi / parameters.wander_period_s
         self._sag = 0.0
         self._sag_end_s = 0.0
-        self._sagging = False
 
     def sag(self, fraction: float, duration_s: float) -> None:
         """Take a fraction off the voltage from the next half cycle on.
@@ -121,19 +113,14 @@ class Line:
         check_range("duration_s", duration_s, 0.0, SAG_MAX_s, "s")
         self._sag = fraction
         self._sag_end_s = self.time_s + duration_s
-        self._sagging = True
 
     def advance(self) -> None:
         """Enter the next half cycle."""
-        if self._steady and not self._sagging:
-            self.time_s += self.half_cycle_s
-            return
         own, time_s = self.parameters, self.time_s
-        frequency_Hz = own.frequency_Hz + own.drift_Hz * math.sin(self._drift_rad_s * time_s)
-        wander = own.wander * math.sin(self._wander_rad_s * time_s)
-        if self._sagging and time_s + 0.5 * self.half_cycle_s >= self._sag_end_s:
-            self._sag, self._sagging = 0.0, False
-        self.voltage_V = own.voltage_V * (1.0 + wander) * (1.0 - self._sag)
+        frequency_Hz = own.frequency_Hz + own.drift_Hz * math.sin(_DRIFT_rad_s * time_s)
+        if time_s + 0.5 * self.half_cycle_s >= self._sag_end_s:
+            self._sag = 0.0
+        self.voltage_V = own.voltage_V * (1.0 - self._sag)
         self.half_cycle_s = 0.5 / frequency_Hz
         self.time_s = time_s + self.half_cycle_s
 
@@ -244,12 +231,6 @@ class Boost:
         self.mean_load_W = load_W
         self.mean_line_W = load_W + gained_W
         return self.voltage_V
-
-    def ripple_V(self, phase_rad: float, duration_s: float) -> float:
-        """The 120 Hz ripple at a phase of the line's double frequency (0 at zero crossings)."""
-        line_rad_s = math.pi / duration_s
-        swing = self.parameters.capacitance_F * 2.0 * line_rad_s * max(self.voltage_V, 1.0)
-        return -self.mean_line_W * math.sin(phase_rad) / swing
 
     def _integrate(
         self, supply_W: float, conductance_S: float, offset_A: float, duration_s: float

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from adaptdrive_sim.parameters import check_quantities, check_range, quantity
 
 DISKS_MAX = 10
-TORQUE_MAX_Nm = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +53,7 @@ class Motor:
         speed_rad_s: Shaft speed.
         inertia_kgm2: Inertia of the shaft with its disks, J.
         output: Filtered tachometer voltage.
+        torque_Nm: Load torque without friction.
     """
 
     def __init__(self, parameters: MotorParameters, disks: int = 1) -> None:
@@ -61,7 +61,7 @@ class Motor:
         self.resistance_Ohm = parameters.resistance_Ohm
         self.speed_rad_s = 0.0
         self.output = 0.0
-        self._torque_Nm = 0.0
+        self.torque_Nm = 0.0
         self._disks = 1
         self.inertia_kgm2 = parameters.disk_kgm2
         self._driven = _Step()
@@ -99,19 +99,9 @@ class Motor:
             self.speed_rad_s *= self.inertia_kgm2 / inertia_kgm2
         self.set_inertia(inertia_kgm2)
 
-    @property
-    def torque_Nm(self) -> float:
-        """Return the load torque without friction in N m."""
-        return self._torque_Nm
-
-    @torque_Nm.setter
-    def torque_Nm(self, torque_Nm: float) -> None:
-        check_range("torque_Nm", torque_Nm, 0.0, TORQUE_MAX_Nm, "N m")
-        self.disturb(torque_Nm)
-
     def disturb(self, torque_Nm: float) -> None:
         """Load the shaft with a torque from now on."""
-        self._torque_Nm = torque_Nm
+        self.torque_Nm = torque_Nm
 
     def drive(self, source_V: float, source_Ohm: float, duration_s: float) -> float:
         """Advance while a constant voltage behind a resistance feeds the armature."""
@@ -162,12 +152,12 @@ class Motor:
 
     def state(self) -> dict[str, float]:
         """Disks, speed and load torque."""
-        return {"disks": self._disks, "speed_rad_s": self.speed_rad_s, "torque_Nm": self._torque_Nm}
+        return {"disks": self._disks, "speed_rad_s": self.speed_rad_s, "torque_Nm": self.torque_Nm}
 
     def _brake_Nm(self, speed_rad_s: float) -> float:
         """Return the torque against the rotation besides viscous friction: T + T_c + d·ω²."""
         own = self.parameters
-        return self._torque_Nm + (own.coulomb_Nm + own.drag_Nms2 * speed_rad_s * speed_rad_s)
+        return self.torque_Nm + (own.coulomb_Nm + own.drag_Nms2 * speed_rad_s * speed_rad_s)
 
     def _resting_speed(self, torque_Nm: float, damping: float) -> float:
         """Return the speed at which damping and drag take a torque."""

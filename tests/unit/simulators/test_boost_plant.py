@@ -74,17 +74,3 @@ def test_without_command_or_load_the_capacitor_charges_to_the_peak_of_the_line()
     for _ in range(120):
         stage.advance(0.0, LINE_V, 0.0, 0.0, HALF_CYCLE_s)
     assert stage.voltage_V == pytest.approx(PEAK_V, abs=0.1)
-
-
-def test_ripple_is_what_the_pulsating_line_power_does_to_the_capacitor() -> None:
-    stage = boost(300.0)
-    stage.settle(300.0, 1000.0)
-
-    def slope(t: float, _: list[float]) -> list[float]:
-        return [-2.0 / CAPACITANCE_F * 1000.0 * math.cos(4.0 * math.pi * 60.0 * t)]
-
-    quarter_s = HALF_CYCLE_s / 4.0
-    true = solve_ivp(slope, (0.0, quarter_s), [300.0**2], rtol=1e-10, atol=1e-9).y[0, -1]
-    ripple_V = stage.ripple_V(math.pi / 2, HALF_CYCLE_s)
-    assert 300.0 + ripple_V == pytest.approx(math.sqrt(true), abs=0.05)
-    assert stage.ripple_V(0.0, HALF_CYCLE_s) == 0.0

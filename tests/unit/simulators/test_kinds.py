@@ -53,7 +53,7 @@ def test_its_linear_model_is_the_configured_one(kind: str) -> None:
     configuration = changed(kind, ("load.model", MODELS[kind]))
     world = build_world(configuration, DeviceSettings())
     load = build_load(configuration)
-    found = world.true_model
+    found = world.truth()
     if kind == "motor":
         found["tau_sum_s"] = found["tau_motor_s"] + found["tau_filter_s"]
         found["tau_product_s2"] = found["tau_motor_s"] * found["tau_filter_s"]

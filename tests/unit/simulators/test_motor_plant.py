@@ -119,6 +119,5 @@ def test_a_disk_dropped_at_rest_shares_the_angular_momentum_and_another_keeps_th
 
 @pytest.mark.parametrize("value", [0.0, math.nan])
 def test_a_parameter_out_of_range_is_refused_by_name(value: float) -> None:
-    with pytest.raises(ParameterError, match=r"MotorParameters\.disk_kgm2 = .* must lie in") as it:
+    with pytest.raises(ParameterError, match=r"MotorParameters\.disk_kgm2 = .* must lie in"):
         MotorParameters(disk_kgm2=value)
-    assert it.value.place == "MotorParameters.disk_kgm2"

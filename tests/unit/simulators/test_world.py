@@ -12,9 +12,8 @@ from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
 
 ROUGH = WorldParameters(
-    line=LineParameters(drift_Hz=0.1, wander=0.1, drift_period_s=5.0, wander_period_s=3.0),
+    line=LineParameters(drift_Hz=0.1),
     noise=NoiseParameters(sigma=0.01, spike_share=0.02, spike_sigma=0.1),
-    sampling_phase_rad=1.0,
     seed=7,
 )
 
@@ -86,18 +85,16 @@ def test_the_noise_has_the_asked_deviation_and_leaves_the_truth_alone() -> None:
     errors = [plant.step(scale_S, bridge=True).output - plant.true_output for _ in range(8000)]
     assert statistics.fmean(errors) == pytest.approx(0.0, abs=2e-4)
     assert statistics.stdev(errors) == pytest.approx(0.004, rel=0.05)
-    assert plant.true_output == pytest.approx(280.0 * plant.true_model["gain"], rel=1e-9)
+    assert plant.true_output == pytest.approx(280.0 * plant.truth()["gain"], rel=1e-9)
 
 
-def test_the_line_drifts_and_wanders_within_its_bounds_and_reaches_them() -> None:
-    samples = run(world(ROUGH), 6000)
+def test_the_line_drifts_within_its_bounds_and_reaches_them() -> None:
+    samples = run(world(ROUGH), 12_000)
     frequencies = [0.5 / sample.tick_period_s for sample in samples]
-    voltages = [sample.line_voltage_V for sample in samples]
     assert (min(frequencies), max(frequencies)) == pytest.approx((59.9, 60.1), abs=1e-3)
-    assert (min(voltages), max(voltages)) == pytest.approx((108.0, 132.0), abs=0.1)
 
 
-@pytest.mark.parametrize("line", [LineParameters(), LineParameters(wander=1e-9)])
+@pytest.mark.parametrize("line", [LineParameters(), LineParameters(drift_Hz=1e-9)])
 def test_a_sag_takes_its_share_for_its_time(line: LineParameters) -> None:
     plant = world(WorldParameters(line=line))
     plant.step(0.0, bridge=False)
