@@ -287,8 +287,6 @@ class OtherSender:
     @property
     def trip_cause(self) -> str | None:
         """Reason not to energise the drive, None without a recent foreign command."""
-        if not self._count:
-            return None
         age_s = self._clock() - self._came_s
         if age_s > QUIET_S:
             return None
