@@ -16,7 +16,6 @@ from canopen.objectdictionary.datatypes import FLOAT_TYPES, SIGNED_TYPES
 from canopen.sdo.exceptions import SdoAbortedError
 
 from adaptdrive.devices.field import natural_limits
-from adaptdrive.util.errors import BusError
 
 Address = tuple[int, int]
 
@@ -36,13 +35,8 @@ class NodeNetwork(canopen.Network):
         self._send = send
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: FBT002 - canopen's
-        """Send one frame.
-
-        Raises:
-            BusError: It is a remote request, which this drive never makes.
-        """
-        if remote:
-            raise BusError("simulated drive", "no remote requests")
+        """Send one frame; this drive never makes a remote request."""
+        del remote
         self._send(can_id, bytes(data))
 
     def send_periodic(self, *_: object, **__: object) -> SimpleNamespace:  # type: ignore[override]
