@@ -2,8 +2,7 @@
 
 For the latter nothing is simulated again: the estimators run on one recorded run under the fixed
 controller, once without noise, for the speed, and several times with it, for what the noise does to
-them. The λ chains are linear, so that signal and noise pass them apart, and only their values at
-the slow instants are worked out.
+them. Of the λ chains only the values at the slow instants are worked out.
 """
 
 import dataclasses
@@ -105,8 +104,8 @@ def setting(
 
 def try_settings(given: Recording, settings: list[EstimatorSettings]) -> list[SweepPoint]:
     """See how settings of the estimator do."""
-    noises = _noises(given)
-    return [_try_setting(given, noises, one) for one in settings]
+    outputs = [given.output, *(given.output + noise for noise in _noises(given))]
+    return [_try_setting(given, outputs, one) for one in settings]
 
 
 def settling_time_s(load: Load, tick_s: float) -> float:
@@ -129,31 +128,28 @@ def _noises(given: Recording) -> list[Array]:
     return [np.fromiter(samples(parameters, one), np.float64, count) for one in generators]
 
 
-def _try_setting(given: Recording, noises: list[Array], learning: EstimatorSettings) -> SweepPoint:
+def _try_setting(given: Recording, outputs: list[Array], learning: EstimatorSettings) -> SweepPoint:
     physical = methods.METHODS[learning.method].physical
     estimate = _estimate_filtered if physical else _estimate_directly
-    quiet, *noisy = estimate(given, learning, noises)
+    quiet, *noisy = estimate(given, learning, outputs)
     experiment = given.case.experiment
     spread = _spread(given, quiet, noisy)
     return SweepPoint(learning, _speed(experiment, quiet), spread, _transient(experiment, quiet))
 
 
 def _estimate_filtered(
-    given: Recording, learning: EstimatorSettings, noises: list[Array]
+    given: Recording, learning: EstimatorSettings, outputs: list[Array]
 ) -> list[Array]:
-    """Physical parameters at every slow instant: without noise, and with each one."""
+    """Physical parameters at every slow instant, from each output."""
     load, rates = given.case.experiment.nominal(), given.case.settings.rates
     ticks = rates.ticks_per_period
     tick_s = given.case.experiment.period_s / ticks
     chain = _chain(load.order, tick_s, learning.tau_lambda_s, ticks)
-    clean = np.column_stack((given.output[::ticks], _sampled(chain, given.output)))
-    applied = given.load_input
-    inputs = np.column_stack((applied[::ticks], _sampled(chain, applied))).tolist()
-    found = [_follow_filtered(load, learning, clean.tolist(), inputs)]
-    for noise in noises:
-        added = np.column_stack((noise[::ticks], _sampled(chain, noise)))
-        found.append(_follow_filtered(load, learning, (clean + added).tolist(), inputs))
-    return found
+    inputs, *signals = (
+        np.column_stack((one[::ticks], _sampled(chain, one))).tolist()
+        for one in (given.load_input, *outputs)
+    )
+    return [_follow_filtered(load, learning, one, inputs) for one in signals]
 
 
 def _follow_filtered(
@@ -172,13 +168,11 @@ def _follow_filtered(
 
 
 def _estimate_directly(
-    given: Recording, learning: EstimatorSettings, noises: list[Array]
+    given: Recording, learning: EstimatorSettings, outputs: list[Array]
 ) -> list[Array]:
     """The same by least squares on the samples themselves."""
     ticks = given.case.settings.rates.ticks_per_period
-    clean = given.output[::ticks]
-    outputs = [clean, *(clean + noise[::ticks] for noise in noises)]
-    return [_follow_directly(given, learning, one.tolist()) for one in outputs]
+    return [_follow_directly(given, learning, one[::ticks].tolist()) for one in outputs]
 
 
 def _follow_directly(given: Recording, learning: EstimatorSettings, outputs: list[float]) -> Array:

@@ -295,11 +295,7 @@ def _carry_out(request: case.ReproduceRequest, folder: Path) -> Outcome:
             for variant in variants
         }
         # Drawing takes a while to import: meanwhile the runs are under way.
-        from adaptdrive_sim.experiments.figure import (  # noqa: PLC0415
-            draw,
-            experiment_figure,
-            sweep_figure,
-        )
+        from adaptdrive_sim.experiments import figure  # noqa: PLC0415
 
         sweep_case = request.sweep_case()
         given = outcomes.recording_of(sweep_case, runs["fixed"].result())
@@ -312,7 +308,7 @@ def _carry_out(request: case.ReproduceRequest, folder: Path) -> Outcome:
             records[variant] = run.result()
             done(1, f"ran the {variant} controller")
         outcome = outcomes.judge(request, records)
-        draw(experiment_figure, outcome, folder / "figure.png")
+        figure.draw(figure.experiment_figure, outcome, folder / "figure.png")
         done(1, "drew the experiment")
         outcome = dataclasses.replace(
             outcome,
@@ -320,7 +316,7 @@ def _carry_out(request: case.ReproduceRequest, folder: Path) -> Outcome:
             over_tau_lambda=over_tau_lambda.result(),
         )
         done(1, "tried other settings of the estimator")
-        draw(sweep_figure, outcome, folder / "sweep.png")
+        figure.draw(figure.sweep_figure, outcome, folder / "sweep.png")
         done(1, "drew them")
     return outcome
 

@@ -30,7 +30,7 @@ def recorded(variant: str) -> tuple[Recording, Run]:
 
 def test_estimates_from_the_recorded_ticks_are_those_of_the_controller() -> None:
     given, estimates = recorded("fixed")
-    (found,) = _estimate_filtered(given, given.case.settings.learning, [])
+    (found,) = _estimate_filtered(given, given.case.settings.learning, [given.output])
     expected = np.column_stack([estimates[name] for name in MOTOR.nominal().names])
     assert np.allclose(found[5:], expected[5:], rtol=1e-5)
 
