@@ -329,10 +329,8 @@ class World:
     def _run(self, line_V: float, duration_s: float) -> float:
         """Advance boost stage and load under the latched command."""
         load, boost, emf_V = self.load, self.boost, self.load.emf_V
-        conductance_S = offset_A = 0.0
-        if self.bridge:
-            conductance_S, offset_A = self.coupling.draw(emf_V, load.resistance_Ohm)
-        end_V = boost.advance(self.current_scale_S, line_V, conductance_S, offset_A, duration_s)
+        drawn = self.coupling.draw(emf_V, load.resistance_Ohm) if self.bridge else (0.0, 0.0)
+        end_V = boost.advance(self.current_scale_S, line_V, drawn, duration_s)
         source_V = self.coupling.ratio * boost.mean_voltage_V
         if self.bridge and (source_V > emf_V or self.parameters.boost.bidirectional):
             self.load_current_A = load.drive(source_V, self.coupling.droop_Ohm, duration_s)

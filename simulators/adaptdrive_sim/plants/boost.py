@@ -193,25 +193,20 @@ class Boost:
             self.squared_V2 = self.voltage_V * self.voltage_V
 
     def advance(
-        self,
-        current_scale_S: float,
-        line_V: float,
-        conductance_S: float,
-        offset_A: float,
-        duration_s: float,
+        self, current_scale_S: float, line_V: float, load: tuple[float, float], duration_s: float
     ) -> float:
         """Integrate one half line cycle.
 
         Args:
             current_scale_S: Line-current scale k; negative only acts when bidirectional.
             line_V: Line voltage, rms.
-            conductance_S: G of the load as seen from the capacitor.
-            offset_A: H of the load as seen from the capacitor.
+            load: G and H of the load as seen from the capacitor.
             duration_s: Length of the half cycle.
 
         Returns:
             Voltage at the end, ripple left out.
         """
+        conductance_S, offset_A = load
         squared_line = line_V * line_V
         supply_W = current_scale_S * squared_line
         if supply_W < 0.0 and self._lowest == 0.0:
@@ -333,15 +328,11 @@ class HeldOutput(Boost):
         return 0.0
 
     def advance(
-        self,
-        current_scale_S: float,
-        line_V: float,
-        conductance_S: float,
-        offset_A: float,
-        duration_s: float,
+        self, current_scale_S: float, line_V: float, load: tuple[float, float], duration_s: float
     ) -> float:
         """Run one half line cycle, as the boost stage does."""
         del current_scale_S, line_V
+        conductance_S, offset_A = load
         share = -math.expm1(-duration_s / self._lag_s) if self._lag_s else 1.0
         end_V = self.voltage_V + share * (self.reference_V - self.voltage_V)
         mean_V = 0.5 * (self.voltage_V + end_V)

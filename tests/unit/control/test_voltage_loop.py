@@ -72,7 +72,7 @@ class MotorLikeStage:
 
     def step(self, scale_S: float, line_V: float = LINE_V) -> None:
         boost = self.boost
-        boost.advance(self.latched_S, line_V, self.conductance_S, self.offset_A, TICK_s)
+        boost.advance(self.latched_S, line_V, (self.conductance_S, self.offset_A), TICK_s)
         self.latched_S = scale_S
 
 

@@ -23,7 +23,7 @@ def boost(voltage_V: float, *, bidirectional: bool = False) -> Boost:
 def constant_power(stage: Boost, current_scale_S: float, load_W: float) -> float:
     """One half cycle with a load that draws (nearly) constant power."""
     offset_A = -load_W / stage.voltage_V
-    return stage.advance(current_scale_S, LINE_V, 0.0, offset_A, HALF_CYCLE_s)
+    return stage.advance(current_scale_S, LINE_V, (0.0, offset_A), HALF_CYCLE_s)
 
 
 @given(
@@ -45,7 +45,7 @@ def test_one_half_cycle_agrees_with_an_independent_integrator(
     start = [voltage_V**2, 0.0, 0.0]
     true = solve_ivp(slope, (0.0, HALF_CYCLE_s), start, rtol=1e-10, atol=1e-9).y[:, -1]
     stage = boost(voltage_V)
-    end_V = stage.advance(current_scale_S, LINE_V, conductance_S, offset_A, HALF_CYCLE_s)
+    end_V = stage.advance(current_scale_S, LINE_V, (conductance_S, offset_A), HALF_CYCLE_s)
     # within what a frame of the drive resolves: 0.01 V and some 0.1 W
     assert end_V == pytest.approx(math.sqrt(true[0]), abs=0.01)
     assert stage.mean_voltage_V == pytest.approx(true[1] / HALF_CYCLE_s, abs=0.01)
@@ -55,7 +55,7 @@ def test_one_half_cycle_agrees_with_an_independent_integrator(
 def test_without_a_load_the_squared_voltage_is_linear_in_the_command() -> None:
     stage = boost(300.0)
     for _ in range(10):
-        stage.advance(0.02, LINE_V, 0.0, 0.0, HALF_CYCLE_s)
+        stage.advance(0.02, LINE_V, (0.0, 0.0), HALF_CYCLE_s)
     gained = 10 * 2.0 * HALF_CYCLE_s * LINE_V**2 / CAPACITANCE_F * 0.02
     assert stage.squared_V2 == pytest.approx(300.0**2 + gained, rel=1e-12)
 
@@ -72,5 +72,5 @@ def test_a_500_W_step_dips_by_the_known_figures(
 def test_without_command_or_load_the_capacitor_charges_to_the_peak_of_the_line() -> None:
     stage = boost(0.0)
     for _ in range(120):
-        stage.advance(0.0, LINE_V, 0.0, 0.0, HALF_CYCLE_s)
+        stage.advance(0.0, LINE_V, (0.0, 0.0), HALF_CYCLE_s)
     assert stage.voltage_V == pytest.approx(PEAK_V, abs=0.1)
