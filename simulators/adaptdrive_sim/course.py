@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress
 
 from adaptdrive.control.design.pole_placement import desired_polynomial
+from adaptdrive.control.design.reference import AHEAD
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.signals import Decision, Mode, Stage
@@ -57,6 +58,7 @@ class Course:
             torque in N m, or an inflow relative to that at the start. Empty for nothing.
         offset: What the sensor of the output shows in addition to the output.
         stops: Slow periods in which the drive is off; it precharges in the last of each.
+        preview: Whether the controller receives the references to come.
         start: Output at which everything rests before; the first reference when left out.
     """
 
@@ -70,6 +72,7 @@ class Course:
     burdens: Array = field(default_factory=lambda: np.empty(0))
     offset: float = 0.0
     stops: tuple[range, ...] = ()
+    preview: bool = False
     start: float | None = None
 
     def stage(self, k: int) -> Stage:
@@ -78,6 +81,13 @@ class Course:
         if stop is None:
             return Stage.RUN
         return Stage.PRECHARGE if k == stop[-1] else Stage.OFF
+
+    def upcoming(self, k: int) -> tuple[float, ...]:
+        """Return the references to come that the controller receives in a slow period."""
+        if not self.preview:
+            return ()
+        last = len(self.references) - 1
+        return tuple(float(self.references[min(k + i, last)]) for i in range(1, AHEAD))
 
 
 def moving(

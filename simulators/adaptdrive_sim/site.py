@@ -5,6 +5,7 @@ nothing waits: time passes as fast as the machine counts it.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,6 +35,7 @@ class Site:
         sample: What the drive measured at the end of the last half cycle.
         snapshot: The last snapshot, None before the first.
         decision: What the slow half made of it.
+        upcoming: Set-points to come that no order has.
     """
 
     def __init__(self, controller: Controller, world: World, wire: Wire | None = None) -> None:
@@ -48,6 +50,7 @@ class Site:
         self.sample: Sample = world.at_rest()
         self.snapshot: signals.Snapshot | None = None
         self.decision: signals.Decision | None = None
+        self.upcoming: tuple[float, ...] = ()
         self._rates = controller.settings.rates
         self._schedule = schedule.Schedule(controller, self._rates.latency_ticks)
 
@@ -65,6 +68,8 @@ class Site:
         command = self._schedule.tick(measurement, order)
         snapshot = self._schedule.take_snapshot()
         if snapshot is not None:
+            if self.upcoming:
+                snapshot = replace(snapshot, upcoming=self.upcoming)
             self.snapshot, self.decision = snapshot, self._schedule.decide(snapshot)
         return command, snapshot is not None
 
@@ -111,6 +116,7 @@ class Site:
         self.sample = world.step(world.current_scale_S, world.bridge, noise[0])
         for k, reference in enumerate(course.references.tolist()):
             change_plant(load, course, k)
+            self.upcoming = course.upcoming(k)
             order = signals.Order(course.stage(k), reference, course.mode, course.pole)
             for n in range(k * ticks, (k + 1) * ticks):
                 measurement = self.measure(n)

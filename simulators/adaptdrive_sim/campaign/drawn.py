@@ -210,6 +210,7 @@ class DrawnRun(ABC):
         disturbances: Measurement noise of every tick, with the offset of the sensor.
         offset: Offset of the sensor of the output.
         stops: Slow periods in which the drive is off.
+        preview: Whether the adaptive controller receives the set-points to come.
     """
 
     references: Array
@@ -220,6 +221,7 @@ class DrawnRun(ABC):
     disturbances: Array
     largest_movement: float
     over_s = 0.0
+    preview = False
 
     def __init__(self, own: Deployed, scenario: Drawn, offset: float, shown: float) -> None:
         """Begin the course of a scenario.
@@ -257,6 +259,7 @@ class DrawnRun(ABC):
             self.burdens,
             self.offset,
             self.stops,
+            self.preview,
         )
 
     @abstractmethod

@@ -136,6 +136,7 @@ class ReferenceRanges(CampaignTable):
 
     Attributes:
         low_above: What is drawn and added to `low`, in the unit of the output.
+        preview: Whether the adaptive controller receives the set-points to come.
     """
 
     low: float = Field(ge=2.0, le=4.0)
@@ -143,6 +144,7 @@ class ReferenceRanges(CampaignTable):
     step: Annotated[Range, within(1e-3, 1.0)]
     period_s: Annotated[Range, within(10.0, 1e4)]
     shapes: list[ShapeName] = Field(min_length=1)
+    preview: bool = False
 
 
 class NoiseRanges(CampaignTable):

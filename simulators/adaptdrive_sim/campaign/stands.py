@@ -138,6 +138,7 @@ class Scenario(drawn.Drawn):
         gain: Of the tachometer, relative.
         filter: Time constant of its filter, relative.
         life: What happens besides.
+        preview: Whether the adaptive controller receives the set-points to come.
     """
 
     inertias: drawn.Numbers
@@ -145,6 +146,7 @@ class Scenario(drawn.Drawn):
     gain: float
     filter: float
     life: Life
+    preview: bool = False
 
     def motor(self) -> MotorParameters:
         """The true motor, with one disk."""
@@ -192,6 +194,7 @@ def draw(campaign: settings.Campaign, seed: int) -> Scenario:
         output_quantum=drawn.uniform(rng, wire.output_V),
         **drawn.each(rng, wire, "voltage_V", "power_W", "scale_S"),
         life=life,
+        preview=reference.preview,
     )
 
 
@@ -224,6 +227,7 @@ class Stand(drawn.DrawnRun):
         moved = settings.NOMINAL_GAIN * scenario.gain * life.largest_torque_V
         self.largest_movement = max(self.step, moved)
         self.stops = life.stops(self.own.period_s)
+        self.preview = scenario.preview
         self.disturbances = life.offset + scenario.disturbances(self.ticks + 1)
         self._true_load = cache(self._load_with)
 

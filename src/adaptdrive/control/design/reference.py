@@ -25,12 +25,13 @@ The response asked for is B/B(1) m*, m* = A_m(1)/A_m r'. It needs the input
 
 The set-points of a waveform are known, and so are m* and u* of the slow periods to come. At a limit
 a law can only give way; who knows what comes moves before. The law is followed ahead from the
-present course. While its input keeps the limits, it acts. Else m is the course with the least
+present course. While its input keeps the limits, it acts. Else δ is added to its limited input u,
+with the least
 
-    Σ (m[k+i] - m*[k+i])² + w (B(1)/A(1))² Σ (Δu)²        A m = B(1) (u - f)
+    Σ (m[k+i] - m*[k+i])² + w (B(1)/A(1))² Σ δ²        A m = B(1) (u + δ - f)
 
-whose input keeps them. The input of the plan changes at a few instants that double their distance.
-Its first value gives m[k], and the next period plans anew.
+that keeps the limits. δ changes at a few instants that double their distance. Its first value gives
+m[k], and the next period plans anew.
 
 Only the course is planned, and no sample of the output is in it but by the mean f: the law holds
 the output on this course as on any other, and the noise of its input stays within the same limit.
@@ -108,13 +109,13 @@ def condition_reference(state: ReferenceFilter, shortage: float, gain: float) ->
         state.course[0] += shortage / gain * vectors.total(state.loop)
 
 
-# A quadratic function of a few numbers, each between the same limits.
+# A quadratic function of a few numbers, each between its limits.
 
 _STEPS = 4
 """Steps for each number; about one and a half are needed."""
 
 
-def minimise(matrix: Vector, right: Vector, low: float, high: float) -> Vector:
+def minimise(matrix: Vector, right: Vector, low: Vector, high: Vector) -> Vector:
     """Return the x of the least function.
 
     Args:
@@ -124,19 +125,19 @@ def minimise(matrix: Vector, right: Vector, low: float, high: float) -> Vector:
         high: Highest x.
     """
     count = len(right)
-    x, held = [0.5 * (low + high)] * count, [0.0] * count
+    x, held = [min(max(0.0, low[i]), high[i]) for i in range(count)], [0.0] * count
     for _ in range(_STEPS * count):
         way = _way(matrix, right, x, held)
         share, first = 1.0, -1
         for i in range(count):
-            room = (high if way[i] > 0.0 else low) - x[i]
+            room = (high[i] if way[i] > 0.0 else low[i]) - x[i]
             if share * abs(way[i]) > abs(room):
                 share, first = room / way[i], i
         for i in range(count):
-            x[i] = min(max(x[i] + share * way[i], low), high)
+            x[i] = min(max(x[i] + share * way[i], low[i]), high[i])
         if first >= 0:
             held[first] = 1.0 if way[first] > 0.0 else -1.0
-            x[first] = high if way[first] > 0.0 else low
+            x[first] = high[first] if way[first] > 0.0 else low[first]
         elif not _let_go(matrix, right, x, held):
             break
     return x
@@ -179,13 +180,13 @@ def _let_go(matrix: Vector, right: Vector, x: Vector, held: Vector) -> bool:
 # Preview: where the law would leave the limits of the input, the course to come is planned.
 
 MOVES = (0, 1, 2, 4, 8, 16, 32)
-"""Slow periods ahead at which the input of the plan changes, and its end."""
+"""Slow periods ahead at which what the plan adds to the input changes, and its end."""
 
 AHEAD = MOVES[-1]
 """Slow periods that are planned."""
 
 UNREST = 0.01
-"""w: price of a change of the input over that of the same error in one period."""
+"""w: price of an addition to the input over that of the error that it makes in one period."""
 
 
 def led_references(reference: float, last: float, upcoming: Vector, lead: float) -> Vector:
@@ -248,10 +249,11 @@ def plan(
     ideal = follow(asked, state.ideal, vectors.total(asked), references)
     vectors.shift_in(state.ideal, ideal[past])
     law = follow(asked, state.course, vectors.total(asked), references)
-    bottom, top = low - state.offset, high - state.offset
+    low, high = low - beyond - state.offset, high + beyond - state.offset
+    wanted = [_needed(a, b, law, past + i) for i in range(AHEAD)]
     found = law[past]
-    if not _keeps(a, b, law, past, bottom - beyond, top + beyond):
-        found = _planned(a, b, last, ideal, past, bottom, top)
+    if min(wanted) < low or max(wanted) > high:
+        found = _planned(a, b, state.course, ideal[past:], wanted, low, high)
     state.moved = found - ideal[past]
     return found
 
@@ -277,63 +279,60 @@ def _needed(a: Vector, b: Vector, values: Vector, at: int) -> float:
     return result / vectors.total(b)
 
 
-def _keeps(
-    a: Vector,
-    b: Vector,
-    values: Vector,
-    past: int,
-    bottom: float,
-    top: float,
-) -> bool:
-    """Return whether the input of a course keeps the limits from now on."""
-    for i in range(past, len(values)):
-        if not bottom <= _needed(a, b, values, i) <= top:
-            return False
-    return True
-
-
 def _planned(
     a: Vector,
     b: Vector,
-    free: Vector,
+    course: Vector,
     ideal: Vector,
-    past: int,
-    bottom: float,
-    top: float,
+    wanted: Vector,
+    low: float,
+    high: float,
 ) -> float:
     """Return m[k] of the plan.
 
     Args:
         a: A of the model.
         b: B of the model.
-        free: The course without any input.
-        ideal: The course asked for.
-        past: Their periods that are over.
-        bottom: Lowest input, less f.
-        top: Highest input, less f.
+        course: m[k-1] and those before.
+        ideal: The course asked for, from now on.
+        wanted: Input of the law less f, from now on.
+        low: Lowest input, less f.
+        high: Highest input, less f.
     """
-    step = follow(a, [0.0] * past, vectors.total(b), [1.0] * AHEAD)
-    count = len(MOVES) - 1
+    inputs = [min(max(one, low), high) for one in wanted]
+    given = follow(a, course, vectors.total(b), inputs)[len(course) :]
+    gap = [ideal[i] - given[i] for i in range(AHEAD)]
+    parts = [inputs[MOVES[j] : MOVES[j + 1]] for j in range(len(MOVES) - 1)]
+    lowest, highest = [low - min(part) for part in parts], [high - max(part) for part in parts]
+    return given[0] + _added(a, b, gap, lowest, highest)
+
+
+def _added(a: Vector, b: Vector, gap: Vector, lowest: Vector, highest: Vector) -> float:
+    """Return what the plan adds to m[k].
+
+    Args:
+        a: A of the model.
+        b: B of the model.
+        gap: The course asked for less that of the limited law, from now on.
+        lowest: Least δ between each two changes.
+        highest: Largest δ.
+    """
+    step = follow(a, [0.0] * len(a), vectors.total(b), [1.0] * AHEAD)[len(a) :]
+    count = len(lowest)
     matrix, right = [0.0] * (count * count), [0.0] * count
     for i in range(AHEAD):
         for j in range(count):
-            answer = _answer(step, past, i, j)
-            right[j] += answer * (ideal[past + i] - free[past + i])
+            answer = _answer(step, i, j)
+            right[j] += answer * gap[i]
             for other in range(count):
-                matrix[j * count + other] += answer * _answer(step, past, i, other)
-    price = UNREST * (vectors.total(b) / vectors.total(a)) ** 2
-    right[0] += price * _needed(a, b, free, past - 1)
+                matrix[j * count + other] += answer * _answer(step, i, other)
     for j in range(count):
-        matrix[j * count + j] += price
-        if j > 0:
-            matrix[(j - 1) * count + j - 1] += price
-            matrix[(j - 1) * count + j] -= price
-            matrix[j * count + j - 1] -= price
-    return free[past] + step[past] * minimise(matrix, right, bottom, top)[0]
+        matrix[j * count + j] += UNREST * (vectors.total(b) / vectors.total(a)) ** 2
+    return step[0] * minimise(matrix, right, lowest, highest)[0]
 
 
-def _answer(step: Vector, past: int, i: int, j: int) -> float:
-    """Return what the input between two changes does to the course, i periods ahead."""
+def _answer(step: Vector, i: int, j: int) -> float:
+    """Return what δ between two changes does to the course, i periods ahead."""
     begun, ended = i - MOVES[j], i - MOVES[j + 1]
-    result = step[past + begun] if begun >= 0 else 0.0
-    return result - step[past + ended] if ended >= 0 else result
+    result = step[begun] if begun >= 0 else 0.0
+    return result - step[ended] if ended >= 0 else result
