@@ -34,8 +34,10 @@ class Sensed(World):
 
     quantum = 0.0
 
-    def step(self, current_scale_S: float, bridge: bool) -> Sample:
-        sample = super().step(current_scale_S, bridge)
+    def step(
+        self, current_scale_S: float, bridge: bool, disturbance: float | None = None
+    ) -> Sample:
+        sample = super().step(current_scale_S, bridge, disturbance)
         if not self.quantum:
             return sample
         return sample._replace(output=round(sample.output / self.quantum) * self.quantum)
