@@ -19,9 +19,6 @@ from adaptdrive_sim.world import World, WorldParameters
 
 # Draw the life of a motor in one run of a campaign.
 
-_LIFE_STREAM = 3
-"""Of random numbers: a campaign without a life draws what it always drew."""
-
 
 @dataclass(frozen=True, slots=True)
 class Life:
@@ -94,7 +91,7 @@ def draw_life(ranges: settings.LifeRanges, seed: int, duration_s: float, changes
         duration_s: Its length.
         changes: How often its inertia changes.
     """
-    rng = np.random.default_rng([seed, _LIFE_STREAM])
+    rng = np.random.default_rng([seed, 3])  # a stream of its own, as in draw
     torques = drawn.whole(rng, ranges.torque_changes)
     phases = drawn.whole(rng, ranges.idle)
     restarts = int(rng.random() < ranges.restarted)
@@ -257,8 +254,6 @@ class Stand(drawn.DrawnRun):
 
 # Runs of baths: what a seed draws, and plant, controller and course made of it.
 
-_BATH_STREAM = 4
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BathScenario(drawn.Drawn):
@@ -293,7 +288,7 @@ class BathScenario(drawn.Drawn):
 
 def draw_bath(campaign: settings.BathCampaign, seed: int) -> BathScenario:
     """The run of a campaign that a seed stands for."""
-    rng = np.random.default_rng([seed, _BATH_STREAM])
+    rng = np.random.default_rng([seed, 4])
     water, sensor = campaign.water, campaign.sensor
     quiet_s, end_s = water.quiet_s, max(water.quiet_s, campaign.duration_s - water.quiet_s)
     ends_gal, unchanged = water.volume_gal, water.unchanged

@@ -254,7 +254,8 @@ class Guard:
     """
 
     def __init__(self, drive: DriveSection) -> None:
-        self._drive = drive
+        self._limits, self._given = drive.limits, drive.given
+        self._lowest_S = drive.current_scale_min_S
         self._last_scale_S = 0.0
         self.limited = 0
 
@@ -266,7 +267,7 @@ class Guard:
         """
         scale_S, reference_V = command.current_scale_S, command.boost_reference_V
         if not (math.isfinite(scale_S) and math.isfinite(reference_V)):
-            given = self._drive.given
+            given = self._given
             raise ValueError(
                 f"the controller gave k = {scale_S:g} S, {given.symbol} = "
                 f"{given.text(reference_V, 'g')}, which is not finite; keep the session "
@@ -275,8 +276,8 @@ class Guard:
         if not (command.bridge or scale_S or reference_V):
             self._last_scale_S = 0.0
             return SAFE_COMMAND
-        limits, last_S = self._drive.limits, self._last_scale_S
-        low_S = max(self._drive.current_scale_min_S, last_S - limits.current_scale_slew_S)
+        limits, last_S = self._limits, self._last_scale_S
+        low_S = max(self._lowest_S, last_S - limits.current_scale_slew_S)
         high_S = min(limits.current_scale_max_S, last_S + limits.current_scale_slew_S)
         self._last_scale_S = min(max(scale_S, low_S), high_S)
         lowest_V = min(limits.boost_reference_min_V, 0.0)

@@ -44,7 +44,7 @@ class Machine:
     """
 
     def __init__(self, limits: MachineLimits) -> None:
-        self._limits = limits
+        self._limits, self._given = limits, limits.drive.given
         self.state = State.STANDBY
         self.mode = Mode.FIXED
         self.manual = self._limits.held(limits.rest_V, 0)
@@ -84,7 +84,7 @@ class Machine:
         if not self.energised:
             return ""
         reach, unit = self.reach, self._limits.load.output_unit
-        given = self._limits.drive.given
+        given = self._given
         within = f"{reach.low:g}…{reach.high:g} {unit}".rstrip()
         if self.coasting:
             known = f" within {within}" if reach.is_known else ""
