@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -25,7 +25,7 @@ from adaptdrive.recording.session import read_marks
 from adaptdrive.util import files, quantity
 from adaptdrive.util.errors import escaped
 
-# Style of all figures: one typeface, few colours, no unnecessary frames.
+# Style of all figures (figures.mplstyle), and the looks of their lines.
 
 Look = dict[str, Any]
 
@@ -41,40 +41,10 @@ DIRECT: Look = {"color": "#c79a2b", "linewidth": 0.9}
 TRUTH: Look = {"color": "0.25", "linewidth": 0.8, "linestyle": (0, (4, 2))}
 PARAMETERS = ("#1d4e79", "#b4472e", "#4c8b57")
 
-_STYLE: Any = {
-    "font.family": "STIXGeneral",
-    "mathtext.fontset": "stix",
-    "font.size": 9.0,
-    "axes.titlesize": 9.0,
-    "axes.labelsize": 9.0,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "legend.fontsize": 8.0,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlelocation": "left",
-    "axes.titlepad": 4.0,
-    "axes.axisbelow": True,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    "legend.frameon": False,
-    "legend.borderaxespad": 0.2,
-    "legend.handlelength": 1.8,
-    "legend.columnspacing": 1.4,
-    "lines.solid_capstyle": "butt",
-    "figure.constrained_layout.h_pad": 0.03,
-    "figure.constrained_layout.w_pad": 0.03,
-}
-
 
 def journal() -> AbstractContextManager[None]:
     """Within this context figures look as they should."""
-    return rc_context(_STYLE)
+    return style.context(Path(__file__).with_name("figures.mplstyle"))
 
 
 def letter(axes: Axes, name: str, title: str) -> None:
@@ -288,26 +258,6 @@ def _label(axes: Axes, time: float, text: str, color: str) -> None:
 
 # Figure and report of a session; the report is one HTML file that needs nothing else.
 
-_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>
-body {{ font: 15px/1.45 Georgia, 'Times New Roman', serif; max-width: 60em; margin: 2em auto;
-  padding: 0 1em; color: #1a1a1a; }}
-h1 {{ font-size: 1.5em; }} h2 {{ font-size: 1.15em; margin-top: 1.6em; }}
-img {{ width: 100%; }}
-table {{ border-collapse: collapse; font-size: 0.9em; }}
-th, td {{ text-align: left; padding: 0.15em 1em 0.15em 0; vertical-align: top; }}
-th {{ border-bottom: 1px solid #888; }} tr.alarm {{ color: #c1121f; }}
-pre {{ background: #f5f5f2; padding: 1em; overflow-x: auto; font-size: 0.85em; }}
-</style></head><body>
-<h1>{title}</h1>
-{facts}
-<img alt="output, voltages, estimates, controller in force"
-  src="data:image/png;base64,{png}">
-<h2>Events</h2>{events}
-<h2>Operator commands</h2>{commands}
-<h2>Configuration</h2><pre>{config}</pre>
-</body></html>
-"""
 _MOST_ROWS = 1000
 
 
@@ -386,7 +336,8 @@ def plot(
     png = draw_session(session, configuration, curves)
     folder = path if into is None else into
     figure, report = folder / "figure.png", folder / "report.html"
-    page = _PAGE.format(
+    template = Path(__file__).with_name("report.html").read_text(encoding="utf-8")
+    page = template.format(
         title=escape(f"{session.info.drive}, {curves.window.started:%Y-%m-%d %H:%M:%S} UTC"),
         facts=_facts(session, curves),
         png=base64.b64encode(png).decode(),
