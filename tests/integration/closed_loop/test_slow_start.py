@@ -30,7 +30,7 @@ def switch_on_slowly(world: World) -> None:
         asked[0] = asked[0] + 1 if bridge else 0
         return step(current_scale_S, asked[0] >= START_TICKS)
 
-    world.step = late  # type: ignore[method-assign]
+    world.step = late  # type: ignore[method-assign, assignment]
 
 
 async def run_drive(wire: Wire) -> str | None:

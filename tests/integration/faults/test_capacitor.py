@@ -132,7 +132,7 @@ def draw_idle_power(course: Course, power_W: float) -> None:
         boost.settle(max(0.0, squared_V2) ** 0.5, boost.mean_load_W)
         return sample._replace(boost_voltage_V=boost.voltage_V)
 
-    world.step = drawn  # type: ignore[method-assign]
+    world.step = drawn  # type: ignore[method-assign, assignment]
 
 
 @pytest.mark.parametrize("power_W", [60.0, 100.0])
@@ -172,7 +172,7 @@ def test_a_drive_that_comes_on_late_is_charged_and_runs(late_ticks: int) -> None
         asked[0] = asked[0] + 1 if bridge or current_scale_S > 0.0 else 0
         return step(current_scale_S, bridge) if asked[0] > late_ticks else step(0.0, False)
 
-    course.drive.world.step = late  # type: ignore[method-assign]
+    course.drive.world.step = late  # type: ignore[method-assign, assignment]
     assert course.begin(), course.daemon.trip
 
 
@@ -193,7 +193,7 @@ def test_a_capacitor_that_has_fallen_to_the_peak_of_the_line_is_charged_again(
         left[0] -= 1
         return step(0.0, bridge)
 
-    course.drive.world.step = lost  # type: ignore[method-assign]
+    course.drive.world.step = lost  # type: ignore[method-assign, assignment]
     while left[0] > 0:
         course.half_cycle()
     course.drive.world.step = step  # type: ignore[method-assign]
