@@ -86,10 +86,8 @@ def tables(configuration: Configuration, source: Path) -> str:
         configuration: The configuration.
         source: Its file.
     """
-    head, tick_s = (
-        f"{'trips after':36} {'ms':>9} {'ticks':>8}  by",
-        configuration.drive.half_cycle_s,
-    )
+    head = f"{'trips after':36} {'ms':>9} {'ticks':>8}  by"
+    tick_s = configuration.drive.half_cycle_s
     limits = (_limit(*row, tick_s) for row in time_limits(configuration, source))
     facts = (f"{what:36} {value:>18}  {keys}" for what, value, keys in _facts(configuration))
     return "\n".join((head, *limits, *facts))

@@ -337,7 +337,11 @@ class ScpiValue(Section):
             address=address,
             table="input" if self.write is None else "holding",
             type="uint64" if self.whole else "float64",
-            **self.model_dump(include={"unit", "range", "names", "bit", "mask"}),
+            unit=self.unit,
+            range=self.range,
+            names=self.names,
+            bit=self.bit,
+            mask=self.mask,
         )
 
 

@@ -239,8 +239,8 @@ def plan(
         beyond: How far the law may go beyond a limit before its course gives way.
     """
     past, asked = len(state.course), state.asked
-    last = follow(a, state.course, 0.0, references)
-    added = last_input - _needed(a, b, last, past - 1)
+    law = follow(asked, state.course, vectors.total(asked), references)
+    added = last_input - _needed(a, b, law, past - 1)
     if not math.isfinite(state.offset):
         state.offset = added if free else 0.0
     below, above = last_input <= low, last_input >= high
@@ -248,7 +248,6 @@ def plan(
         state.offset += (1.0 - pole) * (added - state.offset)
     ideal = follow(asked, state.ideal, vectors.total(asked), references)
     vectors.shift_in(state.ideal, ideal[past])
-    law = follow(asked, state.course, vectors.total(asked), references)
     low, high = low - beyond - state.offset, high + beyond - state.offset
     wanted = [_needed(a, b, law, past + i) for i in range(AHEAD)]
     found = law[past]
