@@ -17,8 +17,6 @@ from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World, WorldParameters
 
-# Draw the life of a motor in one run of a campaign.
-
 
 @dataclass(frozen=True, slots=True)
 class Life:

@@ -125,7 +125,9 @@ class CapacitorBalance:
         self._unseen_V2 += ticks * self._per_W * self._unexplained_W(acting_W)
         if _voltage_s(reading) > self._taken_s:
             self._compare(reading)
-            return self._frozen_cause(ticks)
+            cause = self._frozen_cause(ticks)
+            self._ask()  # last: a silence that has passed is no time to answer in
+            return cause
         self._silent_ticks += ticks
         return self._exceeded()
 
@@ -180,12 +182,15 @@ class CapacitorBalance:
         return acting_W - self._load_W - lost_W
 
     def _compare(self, reading: Reading) -> None:
-        """Compare a report with the energy since the last one; ask one that does not show it."""
+        """Compare a report with the energy since the last one."""
         before_V2 = self._reported_V2
         self._confirm(reading)
         self._unseen_V2 = max(0.0, self._unseen_V2 - (self._reported_V2 - before_V2))
         if self._reported_V2 != before_V2:
             self._stood_V2 = 0.0
+
+    def _ask(self) -> None:
+        """Begin to ask a report that does not show the energy."""
         unseen_V = math.sqrt(self._reported_V2 + self._unseen_V2) - math.sqrt(self._reported_V2)
         asks = unseen_V > _UNSEEN_SHARE * self._highest_V or not self._standing_room_V2()
         if asks and math.isnan(self._asked_V2):
