@@ -32,7 +32,7 @@ demo: $(demonstrable) ## watch the motor being held while disks drop onto its sh
 	@$(bin)/adaptdrive-sim demo motor
 
 test: $(installed) peers ## run the test suite, in about five minutes on two processors
-	$(bin)/python -m pytest -m 'not proof' --numprocesses 2 --dist worksteal -rfEs --durations=10
+	$(bin)/python -m pytest -m 'not proof' --numprocesses 3 --dist worksteal -rfEs --durations=10
 
 peers: # programs that tests talk to and nobody here wrote
 	@tools/install-peers
