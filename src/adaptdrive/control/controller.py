@@ -207,6 +207,9 @@ class Controller:
             self._bank.quantiser = quantiser
             first = held if self.load.charging is None else voltage
             self.state = new_slow_state(self.settings, self.load, output, first)
+            self.state.watch.slow = self.load.gain * to_input(  # or where the sensor says it rests
+                voltage, self.load.input_gain, self.load.input_exponent
+            )
             self._reach = setpoints.nominal_reach(self.load, limits)
             if self._prior is not None:
                 learning, values = self.settings.learning, list(self._prior)

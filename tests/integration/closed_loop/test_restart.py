@@ -7,10 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from adaptdrive.control.controller import Controller
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode, Stage
+from adaptdrive.runtime.requests import SetSetpoint
+from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.world import NoiseParameters
-from tests.integration.closed_loop.bench import STEP, Bench, order
+from tests.integration.closed_loop.bench import MOTOR, STEP, Bench, order
+from tests.integration.closed_loop.life import load_world, started, wait
 from tests.integration.closed_loop.test_overnight import DAEMON
 from tests.support import sample
 
@@ -90,3 +94,27 @@ def test_without_its_initial_state_the_load_is_mistaken_for_another() -> None:
     """Nor with a second filter, which finds its error at the next alarm."""
     learning = replace(DAEMON.learning, initial_state=False, alert=False)
     assert largest_trusted_error(replace(DAEMON, learning=learning), Restart(20.0)) > 0.1
+
+
+@pytest.mark.parametrize("shift_K", [4.0, 8.0])
+def test_a_bath_that_rests_beyond_a_set_point_trips_nothing(shift_K: float) -> None:
+    """Its inflow is warmer than where the sensor reads zero, and V_c is at its lowest."""
+    bath = Bath(BathParameters())
+    world = load_world(bath, noise=0.02)
+    world.settle(200.0)
+    bath.output += shift_K
+    bath.inflow_shift_K = shift_K
+    drive = started("bath", world)
+    drive.carry_out(SetSetpoint(5.5))
+    wait(drive, 900.0)
+    assert drive.machine.trip is None
+
+
+def test_a_load_that_is_lighter_by_now_swings_no_longer_than_until_it_is_learnt() -> None:
+    """At a constant set-point only the loop itself shows that five disks became one."""
+    bench = Bench(DAEMON, noise=NoiseParameters(sigma=0.002 * STEP), seed=1)
+    bench.controller = Controller(DAEMON, MOTOR, (0.011, 68.5, 585.0))
+    bench.run(200.0, order(HIGH, Mode.ADAPTIVE))
+    late = bench.decisions[100:]
+    assert np.std([one.boost_reference_V for one in late]) < 4.0
+    assert late[-1].estimates["tau_sum_s"].value == pytest.approx(21.7, rel=0.2)

@@ -232,3 +232,15 @@ def test_a_branch_ends_when_it_is_improbable_and_not_before_ten_samples() -> Non
         bank.learn_branches(branches, detector, LEARNING, MOTOR, sample)
         lengths.append(len(branches.branches))
     assert lengths == [2] * 10 + [1] * 2
+
+
+def test_an_estimate_of_any_age_that_falls_behind_is_still_followed() -> None:
+    """Odds of 20 to 1 change the estimate, and only clear odds end a branch."""
+    for age in (100, 151):
+        known = bank.new_bank(4)
+        before, other = known.estimate, bank.new_branch(4)
+        before.age, before.score, other.age, other.score = age, -3.1, 3, 0.0
+        known.branches.append(other)
+        assert bank._choose(known)
+        assert known.estimate is other
+        assert any(one is before for one in known.branches)

@@ -133,13 +133,24 @@ def test_a_square_wave_at_a_limit_overshoots_by_a_hundredth_at_most(
     top: float, disks: float
 ) -> None:
     """The next edge, 30 periods away, does not move the response to this one."""
-    loop, wave = Loop(disks), ([REST] * 30 + [top] * 30) * 4
-    courses = []
+    late = np.array(courses(disks, ([REST] * 30 + [top] * 30) * 4)[30:])
+    assert REST - 0.01 * (top - REST) <= late.min() <= late.max() <= top + 0.01 * (top - REST)
+
+
+@pytest.mark.parametrize("disks", [1.0, 2.0])
+def test_it_does_not_go_beyond_a_level_to_be_sooner_at_the_next(disks: float) -> None:
+    low, high = 2.5, 4.0
+    late = np.array(courses(disks, [REST] * 60 + ([high] * 60 + [low] * 60) * 3)[180:])
+    assert low - 1e-9 <= late.min() <= late.max() <= high + 1e-9
+
+
+def courses(disks: float, wave: list[float]) -> list[float]:
+    """The planned course under a waveform, as far as what comes is known."""
+    loop, found = Loop(disks), []
     for k in range(len(wave) - AHEAD):
         loop.step(wave[k : k + AHEAD])
-        courses.append(loop.course[0])
-    late = np.array(courses[30:])
-    assert REST - 0.01 * (top - REST) <= late.min() <= late.max() <= top + 0.01 * (top - REST)
+        found.append(loop.course[0])
+    return found
 
 
 def stepped(

@@ -84,7 +84,7 @@ def test_a_pair_is_refused_below_the_smallest_damping(damping: float, tau_s: flo
     ("judge", "limit", "refusal"),
     [
         (judge_load, 0.9999, Verdict.UNSTABLE_LOAD),
-        (judge_loop, 0.995, Verdict.UNSTABLE_LOOP),
+        (judge_loop, 0.9999, Verdict.UNSTABLE_LOOP),
     ],
 )
 def test_poles_are_held_to_a_radius(

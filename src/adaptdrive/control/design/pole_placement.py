@@ -243,9 +243,6 @@ _SMALLEST_SHARE = 0.05
 _LONGEST = 10 * thresholds.WINDOW
 """Samples of a response that are compared at most: twice the delay of four poles at 0.96."""
 
-MARGIN_RADIUS = 1.0 - 1.0 / _LONGEST
-"""Largest pole of the loop with a possible load: as slow as the longest response."""
-
 
 def possible_models(
     settings: ControllerSettings,
@@ -364,7 +361,7 @@ def _response(order: int, model: Vector, gains: Vector, driven: Vector) -> Vecto
     """y[k] of a load in the loop of some gains; infinite where that is not stable."""
     a, b = model[: order + 1], model[order + 1 :]
     closed = closed_loop(gains, a, b, order)
-    if not (vectors.all_finite(closed) and vectors.is_stable(closed, MARGIN_RADIUS)):
+    if not (vectors.all_finite(closed) and vectors.is_stable(closed, STABLE_RADIUS)):
         return [math.inf] * len(driven)
     return _filtered(b, closed, driven)
 

@@ -159,6 +159,7 @@ def _choose(bank: Bank) -> bool:
     best, believed = _most_probable(bank), bank.estimate
     if best.score - believed.score > _LEAD:
         bank.estimate = best
+        believed.age = 0  # only clear odds end what was the estimate
     top = best.score
     for one in bank.branches:
         one.score -= top

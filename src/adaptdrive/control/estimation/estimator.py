@@ -41,9 +41,6 @@ _EMF_NOISE = 0.2
 _EMF_BEND = 0.1
 """Random walk of its rise, in σ, for a charge of τ_λ times the output's scale."""
 
-_PRIOR_VARIANCE = 2.0e3
-"""Variance of a prior over σ²: a few samples confirm it, some seconds of others correct it."""
-
 
 class Method(Protocol):
     """One way to learn the load: parameters θ, regressor r, target, update and model.
@@ -215,10 +212,10 @@ def begin_anew(state: EstimatorState, learning: EstimatorSettings, load: Load) -
 def start_from(
     state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
 ) -> None:
-    """Start from a load that an earlier run has learnt, moderately sure of it.
+    """Start from a load that an earlier run has learnt, no surer of it than of the nominal model.
 
-    Sure enough to be confirmed without much excitation, and doubtful enough to be corrected within
-    seconds by data that contradict it; the bias is unknown.
+    The load may have changed while the drive was off: only samples of this run say how exact its
+    parameters are.
 
     Args:
         state: A new estimator of a method with physical parameters, overwritten.
@@ -229,7 +226,6 @@ def start_from(
     numerator, denominator = load.realise(values)
     theta = state.method.theta_of(learning, load, numerator, denominator)
     vectors.copy_into(state.estimate.theta, theta)
-    vectors.copy_into(state.estimate.diagonal, [_PRIOR_VARIANCE] * len(theta))
 
 
 def update_estimate(

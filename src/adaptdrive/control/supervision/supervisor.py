@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from adaptdrive.control import thresholds, vectors
-from adaptdrive.control.design.pole_placement import MARGIN_RADIUS, STABLE_RADIUS
+from adaptdrive.control.design.pole_placement import STABLE_RADIUS
 from adaptdrive.control.loads.load import is_damped
 from adaptdrive.control.settings import SupervisionLimits
 from adaptdrive.control.vectors import Vector
@@ -147,11 +147,11 @@ def judge_load(a: Vector) -> int:
 
 
 def judge_loop(closed_loop: Vector) -> int:
-    """Check whether the designed loop is finite and stable with a margin."""
+    """Check whether the designed loop is finite and stable."""
     if not vectors.all_finite(closed_loop):
         return Verdict.NOT_FINITE
     return (
-        Verdict.TRUSTED if vectors.is_stable(closed_loop, MARGIN_RADIUS) else Verdict.UNSTABLE_LOOP
+        Verdict.TRUSTED if vectors.is_stable(closed_loop, STABLE_RADIUS) else Verdict.UNSTABLE_LOOP
     )
 
 
