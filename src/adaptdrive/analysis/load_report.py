@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from adaptdrive.analysis import figures
 from adaptdrive.analysis.record import RecordLoad
 from adaptdrive.control.signals import Estimate
+from adaptdrive.identification.excerpt import Array
 from adaptdrive.identification.result import IdentifiedLoad
-
-Array = NDArray[np.float64]
 
 _LAGS = 40
 _WHITE_BAND = 1.96

@@ -13,9 +13,9 @@ movement that V_c can cause before it is taken back.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive.commissioning.course import ExperimentCourse, Steps, Target
+from adaptdrive.identification.excerpt import Array
 from adaptdrive.util.errors import CommissionError
 
 # The waits of an experiment: until the load is at rest, and until a battery takes a current.
@@ -120,8 +120,6 @@ def _arrive(course: ExperimentCourse, voltage_V: float) -> Steps[None]:
 
 
 # Loads that the samples of an experiment leave credible, and how far they would move the output.
-
-Array = NDArray[np.float64]
 
 _RATIO = 1.6
 """Ratio of two neighbouring time constants of the grid."""
