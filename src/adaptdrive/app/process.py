@@ -54,7 +54,6 @@ class LockedError(AdaptdriveError):
     """Another process of this machine controls the drive."""
 
     def __init__(self, what: str, holder: str) -> None:
-        self.what = what
         self.holder = holder
         super().__init__(
             f"{what} is controlled by {holder}; end that daemon first, or give this one another "
