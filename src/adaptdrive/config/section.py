@@ -176,7 +176,7 @@ def _texts_below_keys(module: str) -> dict[str, dict[str, str]]:
 
 
 class Range(Section):
-    """A closed interval."""
+    """What a value may be, both ends included."""
 
     rising: ClassVar = ("low", "high")
 
