@@ -143,10 +143,8 @@ def proposed_model(identified: result.IdentifiedLoad, section: AnyLoad) -> dict[
             return _motor(identified, model.tau_motor_s, model.tau_filter_s)
         case BatterySection(model=model):
             return _battery(identified, model.turns_ratio, model.droop_Ohm)
-        case BathSection():
-            return _bath(identified, section.model)
-        case _:
-            return dict(identified.parameters)
+        case BathSection(model=bath):
+            return _bath(identified, bath)
 
 
 def _bath(identified: result.IdentifiedLoad, model: BathModel) -> dict[str, Estimate]:
