@@ -254,7 +254,7 @@ _RAISED = 1.1
 _HORIZON = 1.0
 """Time for which a step must be safe, in shortest waits."""
 
-_SLOWEST_SLEW_V_PER_S = 50.0
+SLOWEST_SLEW_V_PER_S = 50.0
 _TRIES = (1.0, 0.8, 0.65, 0.5)
 
 
@@ -298,7 +298,7 @@ class Bounds:
         if self.loads.gain * self._highest <= edge:
             return False
         now_V = record.voltages_V[-1]
-        reaction_s = self._look_s + 0.5 * abs(now_V - self._base_V) / _SLOWEST_SLEW_V_PER_S
+        reaction_s = self._look_s + 0.5 * abs(now_V - self._base_V) / SLOWEST_SLEW_V_PER_S
         return self.loads.movement(self._fed(now_V), reaction_s) > edge
 
     def largest_step(self, step: float) -> float:
