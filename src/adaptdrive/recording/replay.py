@@ -167,9 +167,8 @@ class _Player:
         self.report = ReplayReport(session.path.name)
         self._controller = controller
         self._schedule = Schedule(controller, latency_ticks=0)  # delivered when it took effect
-        self._slow = {
-            row["k"]: row for row in table_rows(session, TableName.SLOW, ("k", *_DECIDED))
-        }
+        steps = table_rows(session, TableName.SLOW, ("k", *_DECIDED))
+        self._slow = {row["k"]: row for row in steps}
         self._decided = set(self._slow)
         self.known = 0
         for row in table_rows(session, TableName.TICKS, ("applied_k",)):

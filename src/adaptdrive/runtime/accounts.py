@@ -164,9 +164,8 @@ def sensor_sample(buses: Sequence[SensorBus], now_s: float) -> reports.SensorSam
     """
     found = [(f"{bus.name}.{name}", bus, name) for bus in buses for name in bus.values]
     values = {column: bus.values[name] for column, bus, name in found}
-    return reports.SensorSample(
-        now_s, values, {column: now_s - bus.taken_s[n] for column, bus, n in found}
-    )
+    age_s = {column: now_s - bus.taken_s[name] for column, bus, name in found}
+    return reports.SensorSample(now_s, values, age_s)
 
 
 # The share of its frames that a port has to refuse, over a window of time.
