@@ -233,9 +233,7 @@ def build_world(configuration: root.Configuration, settings: DeviceSettings) -> 
     parameters = WorldParameters(line, boost, stage, noise, seed=settings.seed)
     world = World(load_of(configuration, settings.disks), parameters)
     if _holds_output(configuration):
-        lag_s = (
-            controller_settings(configuration).rates.lag_ticks * configuration.drive.half_cycle_s
-        )
+        lag_s = controller_settings(configuration).rates.lag_ticks * drive.half_cycle_s
         world.boost = HeldOutput(boost, lag_s)
     if settings.initial_voltage_V is not None:
         world.settle(settings.initial_voltage_V)

@@ -18,8 +18,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn
 
 from adaptdrive.util.errors import AdaptdriveError
 
@@ -111,9 +110,6 @@ class ProcessDiedError(AdaptdriveError):
     """A process ended by itself; carries the last lines of its log."""
 
     def __init__(self, name: str, status: int, log: Path) -> None:
-        self.name = name
-        self.status = status
-        self.log = log
         self.tail = last_lines(log)
         super().__init__(f"the {name} {_how(status)}; see {log}")
 
@@ -149,25 +145,14 @@ class Child:
 
 
 class ProcessGroup:
-    """All processes of one terminal; the last one started is the first to end.
+    """All processes of one terminal; `stop` ends them, the last one started first.
 
-    Use it as an async context manager: whatever happens, none is left behind.
+    Whoever starts some stops them whatever happens, so that none is left behind.
     """
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._environment = environment
         self._children: list[Child] = []
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        problem: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        await self.stop()
 
     async def start(self, name: str, module: str, arguments: Sequence[str], log: Path) -> Child:
         """Start `python -m MODULE ARGUMENTS`.

@@ -21,8 +21,8 @@ from adaptdrive.recording.journal_files import Begin, LogFile, Recalled, new_fil
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import EventRow, Header, Kind, Record, framed
 from adaptdrive.recording.segments import logged_batches
-from adaptdrive.recording.session import CONFIG_FILE, INFO_FILE, NOTES, TABLES, TableName
-from adaptdrive.recording.tables import table_schema, write_parquet
+from adaptdrive.recording.session import CONFIG_FILE, INFO_FILE, TABLES, TableName
+from adaptdrive.recording.tables import NOTE_ROWS, table_schema, write_parquet
 from adaptdrive.util.errors import RecordingError
 from tests.unit.recording.material import INFO, make_batch, make_tick, write_log
 from tools.fuzz.target import EXAMPLES, Target, scratch
@@ -79,7 +79,7 @@ def log(data: bytes) -> object:
     file = _log_file()
     file.path.write_bytes(data)
     losses: list[str] = []
-    for name in (*TABLES, *NOTES):
+    for name in (*TABLES, *NOTE_ROWS):
         list(logged_batches([file], name, table_schema(name), losses))
     return recall(file.path.parent, INFO.started)
 

@@ -1,7 +1,6 @@
 """Contents of a campaign's file, for motors and for baths."""
 
 import json
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal, Self, TypeVar
@@ -9,7 +8,7 @@ from typing import Annotated, Literal, Self, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from adaptdrive.config.file import read_text
+from adaptdrive.config.file import read_tables, read_text
 from adaptdrive.util.errors import ConfigurationError, Flaw
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.boost import CouplingParameters
@@ -225,13 +224,11 @@ def read_campaign_of(path: Path, types: Mapping[str, type[FileOfAnyType]]) -> Fi
     found = path if path.exists() or not shipped.exists() else shipped
     try:
         # strict validation takes arrays for tuples from JSON only
-        tables = tomllib.loads(read_text(found))
+        tables = read_tables(read_text(found), path)
         if (named := tables.get("type", "motor")) not in types:
-            flaw = Flaw(f"type = {named!r}", f"must be one of {', '.join(types)}")
-            raise ConfigurationError(path, [flaw])
+            wanted = f"must be one of {', '.join(types)}"
+            raise ConfigurationError.of(path, f"type = {named!r}", wanted)
         return types[named].model_validate_json(json.dumps(tables))
-    except tomllib.TOMLDecodeError as problem:
-        raise ConfigurationError(path, [Flaw("TOML", str(problem))]) from problem
     except ValidationError as problem:
         raise ConfigurationError(path, [_flaw(error) for error in problem.errors()]) from problem
 

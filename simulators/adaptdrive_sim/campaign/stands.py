@@ -89,9 +89,8 @@ def draw_life(ranges: settings.LifeRanges, seed: int, duration_s: float, changes
         duration_s: Its length.
         changes: How often its inertia changes.
     """
-    rng = np.random.default_rng(
-        [seed, 3]
-    )  # a separate stream: a file without [life] draws the same
+    # a separate stream: a file without [life] draws the same
+    rng = np.random.default_rng([seed, 3])
     torques = drawn.whole(rng, ranges.torque_changes)
     phases = drawn.whole(rng, ranges.idle)
     restarts = int(rng.random() < ranges.restarted)

@@ -116,16 +116,12 @@ class CanOpenDrive(DriveNode):
         Raises:
             BusError: The bus cannot be opened, or is lost.
         """
-        self._bus = bus = open_bus(self._config)
-        try:
+        with open_bus(self._config) as self._bus:
             opened(describe_bus(self._config))
             self._boot()
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._receive(bus))
+                tasks.create_task(self._receive(self._bus))
                 tasks.create_task(self._run_half_cycles(self._half_cycle))
-        finally:
-            self._bus = None
-            bus.shutdown()
 
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""

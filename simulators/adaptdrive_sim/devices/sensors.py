@@ -104,14 +104,11 @@ class CanSensors:
         Raises:
             BusError: The bus cannot be opened.
         """
-        bus = can_bus.open_bus(self._config)
-        try:
+        with can_bus.open_bus(self._config) as bus:
             opened(can_bus.describe_bus(self._config))
             while True:
                 await asyncio.sleep(self._config.cycle_s)
                 self._send_all(bus)
-        finally:
-            bus.shutdown()
 
     def _send_all(self, bus: can.BusABC) -> None:
         frame, fault = self._drive.frame, self._drive.world.sensor_fault

@@ -138,9 +138,8 @@ def from_rest(
         period_s: T_k.
     """
     learning = dataclasses.replace(settings.learning, settle_periods=0)
-    supervision = dataclasses.replace(
-        settings.supervision, warm_up_periods=round(warm_up_s / period_s)
-    )
+    periods = round(warm_up_s / period_s)
+    supervision = dataclasses.replace(settings.supervision, warm_up_periods=periods)
     return dataclasses.replace(settings, learning=learning, supervision=supervision)
 
 

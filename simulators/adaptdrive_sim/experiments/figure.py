@@ -78,10 +78,8 @@ def draw_estimates(axes: Axes, outcome: Outcome, limits: tuple[float, float]) ->
     drawstyle = "default" if experiment.changes[0].over_s else "steps-post"
     for i, name in enumerate(load.names):
         label = "truth" if i == len(load.names) - 1 else None
-        estimated = record[name] / nominal[i]
-        axes.plot(
-            minutes, estimated, color=figures.PARAMETERS[i], linewidth=0.9, label=SYMBOLS[name]
-        )
+        estimated, color = record[name] / nominal[i], figures.PARAMETERS[i]
+        axes.plot(minutes, estimated, color=color, linewidth=0.9, label=SYMBOLS[name])
         axes.plot(minutes, truth[:, i], drawstyle=drawstyle, label=label, **figures.TRUTH)
     axes.set_ylim(*limits)
     axes.set_ylabel("Over nominal")
@@ -325,12 +323,9 @@ def _curves(
 def _name(axes: Grid, experiment: Experiment) -> None:
     paper = experiment.paper
     (speed, speed_tau), (noise, noise_tau), (transient, transient_tau) = axes
-    figures.letter(
-        speed, "a", rf"Convergence over $\rho$, $\tau_\lambda$ = {paper.tau_lambda_s:g} s"
-    )
-    figures.letter(
-        speed_tau, "b", rf"Convergence over $\tau_\lambda$, $\rho$ = {paper.forgetting:g}"
-    )
+    over = "Convergence over"
+    figures.letter(speed, "a", rf"{over} $\rho$, $\tau_\lambda$ = {paper.tau_lambda_s:g} s")
+    figures.letter(speed_tau, "b", rf"{over} $\tau_\lambda$, $\rho$ = {paper.forgetting:g}")
     figures.letter(noise, "c", r"Noise over $\rho$")
     figures.letter(noise_tau, "d", r"Noise over $\tau_\lambda$")
     speed.set_ylabel("Cycles until within 5 %")

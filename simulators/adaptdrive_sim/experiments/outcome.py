@@ -129,9 +129,11 @@ def _noises(given: Recording) -> list[Array]:
 
 
 def _try_setting(given: Recording, outputs: list[Array], learning: EstimatorSettings) -> SweepPoint:
-    physical = methods.METHODS[learning.method].physical
-    estimate = _estimate_filtered if physical else _estimate_directly
-    quiet, *noisy = estimate(given, learning, outputs)
+    if methods.METHODS[learning.method].physical:
+        quiet, *noisy = _estimate_filtered(given, learning, outputs)
+    else:
+        ticks = given.case.settings.rates.ticks_per_period
+        quiet, *noisy = (_follow(given, learning, one[::ticks].tolist()) for one in outputs)
     experiment = given.case.experiment
     spread = _spread(given, quiet, noisy)
     return SweepPoint(learning, _speed(experiment, quiet), spread, _transient(experiment, quiet))
@@ -167,15 +169,8 @@ def _follow_filtered(
     return np.array(found)
 
 
-def _estimate_directly(
-    given: Recording, learning: EstimatorSettings, outputs: list[Array]
-) -> list[Array]:
-    """The same by least squares on the samples themselves."""
-    ticks = given.case.settings.rates.ticks_per_period
-    return [_follow_directly(given, learning, one[::ticks].tolist()) for one in outputs]
-
-
-def _follow_directly(given: Recording, learning: EstimatorSettings, outputs: list[float]) -> Array:
+def _follow(given: Recording, learning: EstimatorSettings, outputs: list[float]) -> Array:
+    """Physical parameters by least squares on the samples of an output themselves."""
     load, period_s = given.case.experiment.nominal(), given.case.experiment.period_s
     method, taps = methods.METHODS[learning.method], load.paper_taps
     state = estimator.new_estimator(method, learning, load, taps)

@@ -56,6 +56,7 @@ def print_claims(title: str, claims: list[Claim]) -> None:
 
 def summary(outcome: Outcome, claims: list[dict[str, Any]], wall_s: float) -> dict[str, Any]:
     """The content of summary.json."""
+    changes = zip(outcome.experiment.changes, outcome.converged, strict=True)
     return {
         "experiment": outcome.experiment.name,
         "seed": outcome.seed,
@@ -66,9 +67,7 @@ def summary(outcome: Outcome, claims: list[dict[str, Any]], wall_s: float) -> di
         },
         "estimates": [
             {"load_change_s": change.time_s, "cycles_to_5_percent": cycles_needed}
-            for change, cycles_needed in zip(
-                outcome.experiment.changes, outcome.converged, strict=True
-            )
+            for change, cycles_needed in changes
         ],
         "claims": claims,
     }

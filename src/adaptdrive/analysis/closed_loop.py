@@ -145,9 +145,8 @@ def run_loop(
     ticks, slow, fault = [], [], ""
     for number in range(readings):
         wanted, volts = order(number), boost.voltage_V
-        measured = signals.Measurement(
-            number * stride, half_cycle_s, volts, line_V, power_W, output
-        )
+        tick = number * stride
+        measured = signals.Measurement(tick, half_cycle_s, volts, line_V, power_W, output)
         command = schedule.tick(measured, wanted)
         ticks.append((number * period_s, wanted.reference, output, volts, power_W))
         if (snapshot := schedule.take_snapshot()) is not None:

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive.config.section import Converted, known_unit, si_unit
+from adaptdrive.identification.excerpt import Array
 from adaptdrive.util.errors import IdentificationError, reason_of
 
 # Units in the headers of columns: `time_ms`, `Zeit [min]`, `speed (rpm)`, `t/s`.
@@ -106,8 +106,6 @@ def _suffix(header: str, wanted: str) -> str | None:
 
 
 # Columns of numbers from a CSV file or from a table in memory.
-
-Array = NDArray[np.float64]
 
 _DELIMITERS = ";\t,"
 """In the order in which they are looked for: a comma may be a decimal one."""

@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from adaptdrive.analysis import figures
 from adaptdrive.analysis.record import RecordLoad
 from adaptdrive.control.signals import Estimate
+from adaptdrive.identification.excerpt import Array
 from adaptdrive.identification.result import IdentifiedLoad
-
-Array = NDArray[np.float64]
 
 _LAGS = 40
 _WHITE_BAND = 1.96
@@ -90,8 +88,8 @@ def as_json(found: RecordLoad) -> dict[str, Any]:
         "noise": list(load.noise),
         "noise_std": load.noise_std,
         "whiteness": load.whiteness,
-        "fit": _known(load.fit),
-        "cross_fit": _known(load.cross_fit),
+        "fit": known(load.fit),
+        "cross_fit": known(load.cross_fit),
         "block_s": load.block_s,
         "parts": len(load.residuals),
         "left_out": found.left_out,
@@ -100,12 +98,12 @@ def as_json(found: RecordLoad) -> dict[str, Any]:
 
 def _values(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, float | None]]:
     return {
-        name: {"value": _known(one.value), "std": _known(one.std)}
-        for name, one in estimates.items()
+        name: {"value": known(one.value), "std": known(one.std)} for name, one in estimates.items()
     }
 
 
-def _known(value: float) -> float | None:
+def known(value: float) -> float | None:
+    """Return a number as a value for JSON: null where it is unknown."""
     return value if math.isfinite(value) else None
 
 

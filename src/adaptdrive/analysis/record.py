@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive.analysis import closed_loop
 from adaptdrive.analysis.columns import Columns, columns_of_file, columns_of_table, quantity_of
-from adaptdrive.analysis.curves import find_window, read_curves
+from adaptdrive.analysis.curves import Array, find_window, read_curves
 from adaptdrive.analysis.excerpts import Stretch, block_samples, read_stretches
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration, load_configuration
@@ -27,8 +26,6 @@ from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import IdentificationError
 
 # Which columns of a record are used, and at which times.
-
-Array = NDArray[np.float64]
 
 _TIMES = frozenset(
     {"time", "t", "seconds", "timestamp", "datetime", "date", "utc", "monotonic"}

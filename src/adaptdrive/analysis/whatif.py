@@ -11,7 +11,7 @@ import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adaptdrive.analysis import closed_loop, curves, excerpts, figures
+from adaptdrive.analysis import closed_loop, curves, excerpts, figures, load_report
 from adaptdrive.analysis.closed_loop import LoopCourse
 from adaptdrive.analysis.record import SessionLoad, identify_session
 from adaptdrive.app.loads import build_load
@@ -20,7 +20,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Mode, Order, Stage
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import reconfigured
-from adaptdrive.util.errors import ConfigurationError, Flaw, IdentificationError
+from adaptdrive.util.errors import ConfigurationError, IdentificationError
 
 # A recorded session again in closed loop, with other settings.
 
@@ -89,8 +89,8 @@ def _changed(text: str, source: Path, settings: Sequence[str]) -> Configuration:
     """Return the recorded configuration with the settings; refuse another kind of load."""
     recorded, changed = (reconfigured(text, source, one) for one in ((), settings))
     if changed.load.type != recorded.load.type:
-        flaw = Flaw("load.type", f"the session shows a {recorded.load.type}")
-        raise ConfigurationError(source, [flaw])
+        shown = f"the session shows a {recorded.load.type}"
+        raise ConfigurationError.of(source, "load.type", shown)
     return changed
 
 
@@ -209,10 +209,7 @@ def as_text(comparison: Comparison) -> str:
 def as_json(comparison: Comparison) -> dict[str, Any]:
     """Return the comparison as values for JSON; unknown numbers are null."""
     return {
-        name: {
-            key: value if math.isfinite(value) else None
-            for key, value in asdict(one.quality).items()
-        }
+        name: {key: load_report.known(value) for key, value in asdict(one.quality).items()}
         | {"fault": one.fault}
         for name, one in comparison.courses.items()
     }

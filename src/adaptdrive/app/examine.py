@@ -182,9 +182,8 @@ def _capacitor_flaws(configuration: Configuration) -> Iterator[Flaw]:
     taken_J = limits.load_power_max_W * configuration.drive.half_cycle_s
     if held_J < taken_J:
         problem = f"{capacitance_F:g} F holds {held_J:.3g} J at {limits.boost_reference_max_V:g} V"
-        yield Flaw(
-            place, f"{problem}; a load of load_power_max_W takes {taken_J:.3g} J a half cycle"
-        )
+        need = f"a load of load_power_max_W takes {taken_J:.3g} J a half cycle"
+        yield Flaw(place, f"{problem}; {need}")
 
 
 # Values that can be used, and probably are not meant or do not work well together.

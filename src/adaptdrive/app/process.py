@@ -54,7 +54,6 @@ class LockedError(AdaptdriveError):
     """Another process of this machine controls the drive."""
 
     def __init__(self, what: str, holder: str) -> None:
-        self.what = what
         self.holder = holder
         super().__init__(
             f"{what} is controlled by {holder}; end that daemon first, or give this one another "
@@ -164,10 +163,8 @@ class WarmUp:
         """
         self._configuration = configuration
         self._time_s = 0.0
-        settings = daemon_settings(configuration)
-        self._controller = Controller(
-            controller_settings(configuration), loads.build_load(configuration)
-        )
+        settings, law = daemon_settings(configuration), controller_settings(configuration)
+        self._controller = Controller(law, loads.build_load(configuration))
         self._machine = state_machine.Machine(settings.machine)
         self._loop = fast_loop.FastLoop(port, self._controller, self._machine, settings.fast, self)
         load, reach = configuration.load, settings.machine.reach

@@ -215,9 +215,8 @@ def run(path: Path) -> int:
             process.locked(process.lock_names(configuration), os.environ) as locks,
             asyncio.Runner() as runner,
         ):
-            complete = runner.run(
-                _serve(reload.RunInput(configuration, text), path, locks, start_thread)
-            )
+            given = reload.RunInput(configuration, text)
+            complete = runner.run(_serve(given, path, locks, start_thread))
     except* AdaptdriveError as group:
         raise first_error(group) from None
     return 0 if complete else UNRECORDED

@@ -68,7 +68,9 @@ def carry_out(
     except KeyboardInterrupt:
         return INTERRUPTED
     except SystemExit as end:
-        if not reader_has_ended(end):
+        # rich, which prints help and tables, ends the program because nothing reads: what it
+        # prints has been done, or nothing has, and the status of the command stays as it was
+        if not isinstance(end.__context__, BrokenPipeError):
             raise
         return 0
     except OSError as problem:
@@ -151,14 +153,6 @@ def lay_out_help(arguments: Sequence[str]) -> None:
     columns = int(given[:6]) if given.isdecimal() else shutil.get_terminal_size().columns
     if columns < _FEWEST_COLUMNS and not _HELP.isdisjoint(arguments or ["--help"]):
         os.environ["COLUMNS"] = str(_FEWEST_COLUMNS)
-
-
-def reader_has_ended(end: SystemExit) -> bool:
-    """Return whether rich, which prints help and tables, ends the program because nothing reads.
-
-    It prints what has been done, or nothing has: the status of the command stays as it was.
-    """
-    return isinstance(end.__context__, BrokenPipeError)
 
 
 def discard_output() -> None:

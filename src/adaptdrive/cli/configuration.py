@@ -69,9 +69,8 @@ def init(  # noqa: PLR0913 - one parameter for each option
         if bus is not None or (dbc and eds):
             flaw = "describes the bus: leave --bus out, and one of --dbc and --eds"
             raise ConfigurationError.of("init", "--device", flaw)
-        text, files = starter.of_device(
-            load, device, drive, _place(own, directory) if own else None
-        )
+        place = _place(own, directory) if own else None
+        text, files = starter.of_device(load, device, drive, place)
     else:
         known = _refuse_misfits(bus, dbc, eds)
         part = _described(load, directory, dbc, eds, ask=None if yes else sys.stdin.isatty())
@@ -142,9 +141,8 @@ def _described(
         found = list(candidates(eds, _NODE_ID))
         if any(one.reference == _TARGET_TORQUE for one in found):
             print(f"a drive that takes torque: see `init --device maxon-epos4 --eds {eds}` instead")
-        return described.canopen_part(
-            _place(eds, directory), _choose(load, found, _OF_THE_PROFILE, ask=ask)
-        )
+        chosen = _choose(load, found, _OF_THE_PROFILE, ask=ask)
+        return described.canopen_part(_place(eds, directory), chosen)
     return None
 
 

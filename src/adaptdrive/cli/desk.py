@@ -204,9 +204,8 @@ class _Desk:
         websocket = self._ports.take(usual=_WEBSOCKET)
         self._print(f"broker: none answered at {place}; an embedded one serves this machine only")
         listeners = [f"{processes.HOST}:{broker.port}", f"{processes.HOST}:{websocket}"]
-        child = await self._processes.start(
-            "broker", processes.BROKER, listeners, self._log("broker")
-        )
+        log = self._log("broker")
+        child = await self._processes.start("broker", processes.BROKER, listeners, log)
         await child.until_listening(broker.port)
         return websocket
 
@@ -214,9 +213,8 @@ class _Desk:
 
         host = self._broker.host
         if not processes.is_listening(host, websocket):
-            self._print(
-                f"panel: none, as the broker has no WebSocket listener at {host}:{websocket}"
-            )
+            missing = f"the broker has no WebSocket listener at {host}:{websocket}"
+            self._print(f"panel: none, as {missing}")
             return
         page, address = self._ports.take(usual=_PAGE), f"ws://{host}:{websocket}/mqtt"
         words = ["panel", "--no-open", f"--port={page}", f"--broker={address}"]
@@ -314,10 +312,9 @@ def panel_server(port: int) -> PanelServer:
     Raises:
         AdaptdriveError: The port is in use.
     """
+    handler = functools.partial(PanelHandler, directory=str(FOLDER))
     try:
-        return PanelServer(
-            ("127.0.0.1", port), functools.partial(PanelHandler, directory=str(FOLDER))
-        )
+        return PanelServer(("127.0.0.1", port), handler)
     except OSError as problem:
         raise AdaptdriveError(f"port {port}: {problem}; choose another --port") from problem
 

@@ -138,9 +138,7 @@ def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
 def _load(load: dict[str, Any], unit: str, given: Given) -> list[str]:
     found = commands.part(load, "estimates")
     units = unit, given.unit
-    estimates = ", ".join(
-        _estimate(name, commands.part(found, name), found, units) for name in found
-    )
+    estimates = (_estimate(name, commands.part(found, name), found, units) for name in found)
     voltages = (
         f"asked {_number(load.get('boost_reference_V'), given.unit)}, "
         f"applied {_number(load.get('applied_V'), given.unit)}"
@@ -149,7 +147,7 @@ def _load(load: dict[str, Any], unit: str, given: Given) -> list[str]:
         _row("slow step", f"{load.get('k')} at {_moment(load.get('time'))}"),
         _row("reference", _number(load.get("reference"), unit)),
         _row(given.name, voltages),
-        _row("estimates", estimates or "none"),
+        _row("estimates", ", ".join(estimates) or "none"),
     ]
 
 

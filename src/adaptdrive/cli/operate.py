@@ -187,9 +187,8 @@ def status(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
         found = asyncio.run(read_status(contact.settings, drive, contact.timeout))
     except NoAnswerError as problem:
         return print_error("adaptdrive", str(problem), NO_ANSWER)
-    print(
-        json.dumps(asdict(found), indent=2) if contact.as_json else display.describe(drive, found)
-    )
+    as_json = contact.as_json
+    print(json.dumps(asdict(found), indent=2) if as_json else display.describe(drive, found))
     return ACCEPTED if found.online and found.live else NO_ANSWER
 
 

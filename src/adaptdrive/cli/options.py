@@ -11,16 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import cyclopts
 import msgspec
-from cyclopts import (
-    App,
-    CycloptsError,
-    Parameter,
-    Token,
-    UnknownCommandError,
-    UnusedCliTokensError,
-    convert,
-)
+from cyclopts import App, Parameter
 
 from adaptdrive import __version__, build_name
 from adaptdrive.cli import UNUSABLE, print_error
@@ -72,26 +65,22 @@ def parsed_command(app: App, words: Sequence[str] | None = None) -> Callable[[],
     def carry_out() -> object:
         try:
             return app(words)
-        except CycloptsError as problem:
+        except cyclopts.CycloptsError as problem:
             program = app.name[0]
             return print_error(program, _usage_error(program, problem), UNUSABLE)
 
     return carry_out
 
 
-def _usage_error(program: str, problem: CycloptsError) -> str:
+def _usage_error(program: str, problem: cyclopts.CycloptsError) -> str:
     """Return why the words name no command that can be carried out."""
     words = " ".join(problem.unused_tokens or ())
-    if isinstance(problem, UnknownCommandError):
+    if isinstance(problem, cyclopts.UnknownCommandError):
         hint = nearest(words.split(" ")[0], [*_COMMANDS, *REQUESTS, "list", "sessions"])
         return f"unknown command {words!r}{hint}; see {program} --help"
-    if isinstance(problem, UnusedCliTokensError):
+    if isinstance(problem, cyclopts.UnusedCliTokensError):
         return f"the command takes no {words!r}; see its --help"
     return " ".join(str(problem).split())
-
-
-def _version() -> str:
-    return f"{__version__} ({build_name()})"
 
 
 def build_app() -> App:
@@ -99,7 +88,7 @@ def build_app() -> App:
     app = App(
         name="adaptdrive",
         help="Adaptive control of speed, temperature and charge behind a power-electronic drive.",
-        version=_version,
+        version=lambda: f"{__version__} ({build_name()})",
         print_error=False,
         exit_on_error=False,
         suppress_keyboard_interrupt=False,
@@ -144,12 +133,12 @@ def refusing(is_valid: Callable[[Any], bool], rule: str) -> Callable[[object, An
     return check
 
 
-def _read_integer(_: object, tokens: Sequence[Token]) -> int:
+def _read_integer(_: object, tokens: Sequence[cyclopts.Token]) -> int:
     """Read an integer; cyclopts alone rounds a fraction without a word."""
     text = tokens[0].value
     if text.partition(".")[2].strip("0"):
         raise ValueError(f'unable to convert "{text}" into int.')
-    number: int = convert(int, tokens)
+    number: int = cyclopts.convert(int, tokens)
     return number
 
 

@@ -13,9 +13,9 @@ movement that V_c can cause before it is taken back.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive.commissioning.course import ExperimentCourse, Steps, Target
+from adaptdrive.identification.excerpt import Array
 from adaptdrive.util.errors import CommissionError
 
 # The waits of an experiment: until the load is at rest, and until a battery takes a current.
@@ -120,8 +120,6 @@ def _arrive(course: ExperimentCourse, voltage_V: float) -> Steps[None]:
 
 
 # Loads that the samples of an experiment leave credible, and how far they would move the output.
-
-Array = NDArray[np.float64]
 
 _RATIO = 1.6
 """Ratio of two neighbouring time constants of the grid."""
@@ -256,7 +254,7 @@ _RAISED = 1.1
 _HORIZON = 1.0
 """Time for which a step must be safe, in shortest waits."""
 
-_SLOWEST_SLEW_V_PER_S = 50.0
+SLOWEST_SLEW_V_PER_S = 50.0
 _TRIES = (1.0, 0.8, 0.65, 0.5)
 
 
@@ -300,7 +298,7 @@ class Bounds:
         if self.loads.gain * self._highest <= edge:
             return False
         now_V = record.voltages_V[-1]
-        reaction_s = self._look_s + 0.5 * abs(now_V - self._base_V) / _SLOWEST_SLEW_V_PER_S
+        reaction_s = self._look_s + 0.5 * abs(now_V - self._base_V) / SLOWEST_SLEW_V_PER_S
         return self.loads.movement(self._fed(now_V), reaction_s) > edge
 
     def largest_step(self, step: float) -> float:

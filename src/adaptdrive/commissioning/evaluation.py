@@ -41,22 +41,20 @@ _LONGEST_DELAY = 1
 """Longest dead time in samples: a tenth of a second is longer than any bus takes."""
 
 
-def evaluate(experiment: LoadExperiment, loads: Sequence[Load]) -> result.IdentifiedLoad:
+def evaluate(record: Samples, outcome: Outcome, loads: Sequence[Load]) -> result.IdentifiedLoad:
     """Identify the load from the samples of an experiment.
 
     Args:
-        experiment: One that is complete.
+        record: The samples.
+        outcome: What came of the experiment.
         loads: Structure and input map of the load; of several, which have any dead time, the one
             that the samples show.
 
     Raises:
-        CommissionError: It is not complete, or leaves a parameter open.
+        CommissionError: They leave a parameter open.
         IdentificationError: The samples do not determine the load.
     """
-    outcome = experiment.outcome
-    if outcome is None:
-        raise CommissionError("the experiment is not complete")
-    excerpt = resampled(experiment.course.record, outcome.began_s)
+    excerpt = resampled(record, outcome.began_s)
     block = _block(outcome, excerpt)
     if len(loads) > 1:
         found = identify_any([excerpt], loads, block=block)
@@ -340,9 +338,9 @@ def judged(
     outcome = experiment.outcome
     if outcome is None:
         raise CommissionError("the experiment is not complete")
-    target = experiment.course.target
-    identified = evaluate(experiment, candidate_loads(present))
-    proposal = propose(identified, text, path, experiment.course.record.coarseness())
+    target, record = experiment.course.target, experiment.course.record
+    identified = evaluate(record, outcome, candidate_loads(present))
+    proposal = propose(identified, text, path, record.coarseness())
     rest_V = target.middle_V(outcome.low_V, outcome.high_V)
     proposed, now = (
         predict(identified, one, rest_V, target.move) for one in (proposal.configuration, present)

@@ -12,7 +12,7 @@ A load without overshoot stays within that movement. Time is that of the samples
 
 import math
 
-from adaptdrive.commissioning.bounds import Bounds, find_onset, until_rest
+from adaptdrive.commissioning.bounds import SLOWEST_SLEW_V_PER_S, Bounds, find_onset, until_rest
 from adaptdrive.commissioning.course import ExperimentCourse, Outcome, Phase, Steps, Target
 from adaptdrive.util.errors import CommissionError
 
@@ -163,7 +163,6 @@ _LEAST_LEVEL = 0.5
 """Least step of the test, over the one that would move the output by the movement asked for."""
 
 _LONGEST_CLIMB = 40
-_SLOWEST_SLEW_V_PER_S = 50.0
 
 
 class Climb:
@@ -237,7 +236,8 @@ class Climb:
             course.voltage_V, self._raised_s = voltage_V, began_s
         for _ in until_rest(course):
             moved = course.recent(course.smooth_s) - self._before
-            if self._is_too_far(moved):
+            # too far, or would be although V_c went back now
+            if self.bounds.heads_for_edge() or moved > _TOO_FAR * target.move:
                 course.phase = Phase.BACK
                 return moved
             if moved < -course.margin(_FALL):
@@ -249,15 +249,11 @@ class Climb:
         moved = self._course.rest - self._before
         if target.battery is None:
             return moved
-        slewed_s = began_s + abs(voltage_V - before_V) / _SLOWEST_SLEW_V_PER_S
+        slewed_s = began_s + abs(voltage_V - before_V) / SLOWEST_SLEW_V_PER_S
         nearly_V = before_V + _ARRIVED * (voltage_V - before_V)
         ready_s = max(slewed_s, course.record.reached_s(nearly_V, began_s))
         jump = course.record.mean(ready_s, ready_s + 5.0 * course.smooth_s)
         return max(moved, jump - self._before)
-
-    def _is_too_far(self, moved: float) -> bool:
-        """Return whether the output has moved too far, or would although V_c went back now."""
-        return self.bounds.heads_for_edge() or moved > _TOO_FAR * self._course.target.move
 
     def _retreat(self, step: float) -> Steps[float]:
         """Take V_c back, wait for rest, and return the next step."""

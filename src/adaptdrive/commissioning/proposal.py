@@ -185,9 +185,8 @@ def _pace(identified: IdentifiedLoad, present: Configuration) -> dict[str, float
     """Return slow period, samples and λ time constant for the pace of the load."""
     total_s = identified.denominator[-2] / identified.denominator[-1]
     lags = len(identified.denominator) - 1
-    period_s = _period_s(
-        total_s / max(present.load.traits.lag_periods, _LAG_PERIODS * lags), present
-    )
+    periods = max(present.load.traits.lag_periods, _LAG_PERIODS * lags)
+    period_s = _period_s(total_s / periods, present)
     ticks = round(2.0 * present.drive.line_frequency_Hz * period_s)
     samples = min(present.load.samples, math.floor(_SAMPLED_SHARE * ticks))
     return {

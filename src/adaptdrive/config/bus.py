@@ -133,10 +133,6 @@ class FrameAddress(Section):
         return frame_id
 
 
-class SignalRange(Range):
-    """`[bus.ranges]`: what a value may be, in place of the range of the DBC."""
-
-
 class CanDescription(CanLink):
     """Keys of a CAN bus that describe the frames on it."""
 
@@ -153,7 +149,7 @@ class CanDescription(CanLink):
     request of J1939 to their sender (`pgn`)"""
     own_address: int = key(0xF9, span=(0, 0xFD))
     """source address of such requests"""
-    ranges: dict[str, SignalRange] = key({})
+    ranges: dict[str, Range] = key({})
     """ranges by `Message.Signal`, in the unit of the DBC, where those of the DBC are wrong"""
     integrity: dict[str, FrameIntegrity] = key({})
     """alive counters and checksums by message"""

@@ -31,9 +31,8 @@ def pace_flaws(whole: root.Configuration) -> Iterator[Flaw]:
         reading = "a half cycle, from one SYNC to the next"
         yield from _heartbeat_flaws(bus, late_s)
     latest = f"{late_s:.4g} s, {timing.LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
-    yield from section.misfit(
-        "interlocks.stale_s", whole.interlocks.stale_s, "at least", late_s, latest
-    )
+    stale_s = whole.interlocks.stale_s
+    yield from section.misfit("interlocks.stale_s", stale_s, "at least", late_s, latest)
     if not isinstance(bus, CanOpenBus) and bus.command_timeout_s is not None:
         stops = f"{latest}: the drive would stop between two commands"
         yield from section.misfit(
@@ -50,9 +49,8 @@ def _heartbeat_flaws(bus: CanOpenBus, late_s: float) -> Iterator[Flaw]:
     rule = f"at least 2 times bus.heartbeat_s = {bus.heartbeat_s}, "
     rule += f"and {timing.LATE_READINGS} half cycles"
     why = f"{least_s:.4g} s, {rule} more than it: heartbeats come with commands"
-    yield from section.misfit(
-        "bus.heartbeat_timeout_s", bus.heartbeat_timeout_s, "at least", least_s, why
-    )
+    timeout_s = bus.heartbeat_timeout_s
+    yield from section.misfit("bus.heartbeat_timeout_s", timeout_s, "at least", least_s, why)
 
 
 def _loop_flaws(whole: root.Configuration, reading: str) -> Iterator[Flaw]:
@@ -160,10 +158,8 @@ def supply_flaws(whole: root.Configuration) -> Iterator[Flaw]:
         place, period = f"sensor_bus.{number}", f"load.period_s = {period_s}"
         yield from section.misfit(f"{place}.cycle_s", bus.cycle_s, "at most", period_s, period)
         if isinstance(bus, ModbusLink):
-            cycle = f"cycle_s = {bus.cycle_s}"
-            yield from section.misfit(
-                f"{place}.timeout_s", bus.timeout_s, "below", bus.cycle_s, cycle
-            )
+            cycle_s, cycle = bus.cycle_s, f"cycle_s = {bus.cycle_s}"
+            yield from section.misfit(f"{place}.timeout_s", bus.timeout_s, "below", cycle_s, cycle)
 
 
 def _optional(whole: root.Configuration) -> tuple[str, ...]:

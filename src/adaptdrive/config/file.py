@@ -90,7 +90,7 @@ def find_flaws(text: str, source: Path) -> Findings:
     Raises:
         ConfigurationError: The text is no TOML.
     """
-    return _examine(_tables(text, source), source.parent)
+    return _examine(read_tables(text, source), source.parent)
 
 
 def parse_configuration(text: str, source: Path) -> Configuration:
@@ -99,7 +99,7 @@ def parse_configuration(text: str, source: Path) -> Configuration:
     Raises:
         ConfigurationError: As for `load_configuration`.
     """
-    return validate_configuration(_tables(text, source), source)
+    return validate_configuration(read_tables(text, source), source)
 
 
 def validate_configuration(tables: dict[str, Any], source: Path) -> Configuration:
@@ -116,7 +116,12 @@ def validate_configuration(tables: dict[str, Any], source: Path) -> Configuratio
     return configuration
 
 
-def _tables(text: str, source: Path) -> dict[str, Any]:
+def read_tables(text: str, source: Path) -> dict[str, Any]:
+    """Return the tables of a text that came from `source`.
+
+    Raises:
+        ConfigurationError: The text is no TOML.
+    """
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as problem:  # of a syntax error, or of absurd nesting

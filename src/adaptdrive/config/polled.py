@@ -49,10 +49,6 @@ class TcpHost(Section):
 # `[bus]` of a drive on Modbus: the link, and the register map that describes the drive.
 
 
-class RegisterRange(Range):
-    """`[bus.registers.NAME.range]`: what a value may be, both ends included."""
-
-
 class Register(Section):
     """`[bus.registers.NAME]`: one value of the drive's register map."""
 
@@ -73,7 +69,7 @@ class Register(Section):
     """units per count"""
     unit: str = ""
     """unit of the scaled value, for people"""
-    range: RegisterRange | None = None
+    range: Range | None = None
     """a scaled value outside is refused"""
     not_available: int | None = None
     """count or word that means `no value`, such as 0x7F7FFFFF of a float32; all ones (0x8000… when
@@ -256,7 +252,7 @@ class ScpiValue(Section):
     """bits that are taken of a word, as one number"""
     unit: str = ""
     """unit of the value, for people"""
-    range: RegisterRange | None = None
+    range: Range | None = None
     """a value outside is refused"""
     names: dict[str, int] = key({})
     """words for numbers, such as { OFF = 0, ON = 1 }"""

@@ -189,14 +189,11 @@ class ModbusSensorSection(SensorBusSection, polled.ModbusLink):
         """Yield what is wrong in the register maps, and with names in them."""
         yield from super().flaws()
         for device in {register.device_id for register in self.registers.values()}:
-            registers = {
-                name: one for name, one in self.registers.items() if one.device_id == device
-            }
-            yield from references.map_flaws("registers", registers, zero_based=self.zero_based)
+            own = {name: one for name, one in self.registers.items() if one.device_id == device}
+            yield from references.map_flaws("registers", own, zero_based=self.zero_based)
         named = [(f"signals.{name}.signal", one.signal) for name, one in self.signals.items()]
-        yield from references.unknown_flaws(
-            named, self.registers, "[sensor_bus.registers] has no register"
-        )
+        missing = "[sensor_bus.registers] has no register"
+        yield from references.unknown_flaws(named, self.registers, missing)
 
 
 class ModbusTcpSensors(ModbusSensorSection, polled.TcpLink):

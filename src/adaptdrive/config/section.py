@@ -176,7 +176,10 @@ def _texts_below_keys(module: str) -> dict[str, dict[str, str]]:
 
 
 class Range(Section):
-    """A closed interval."""
+    """`[bus.ranges]` and `[bus.registers.NAME.range]`: what a value may be, both ends included.
+
+    That of a CAN signal is in place of the range of the DBC.
+    """
 
     rising: ClassVar = ("low", "high")
 

@@ -183,9 +183,8 @@ class Relink:
             how: Why nothing comes from the drive.
             reported_on: Whether its last report, also one that no reading carries, has it on.
         """
-        if not (
-            self._was_on and how in {UNREAD, LEAPT}
-        ):  # the earlier cause is the more specific one
+        # the earlier cause is the more specific one
+        if not (self._was_on and how in {UNREAD, LEAPT}):
             self._how = how
         self._was_on = self._commanded and (self._was_on or bridge)
         self._reported_on = self._reported_on or reported_on

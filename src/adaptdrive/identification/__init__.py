@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive.config.load import AnyLoad, BathModel, BathSection, BatterySection, MotorSection
 from adaptdrive.control.loads.load import Load
@@ -14,8 +13,6 @@ from adaptdrive.identification import excerpt, fit, result
 from adaptdrive.util.errors import IdentificationError
 
 # Identification of a load from records, in closed loop too: values, deviations, and checks.
-
-Array = NDArray[np.float64]
 
 _LONGEST_DELAY = 10
 """Longest dead time that is tried, in blocks."""
@@ -92,7 +89,7 @@ def _criterion(load: result.IdentifiedLoad) -> float:
     return 2.0 * math.log(load.noise_std) + math.log(count) / count * fitted
 
 
-def _noise(fitted: fit.Solution) -> Array:
+def _noise(fitted: fit.Solution) -> excerpt.Array:
     """Return the noise model of what the fit leaves."""
     problem = fitted.problem
     return result.autoregression(fit.split(problem, problem.targets - fitted.simulated))
@@ -146,10 +143,8 @@ def proposed_model(identified: result.IdentifiedLoad, section: AnyLoad) -> dict[
             return _motor(identified, model.tau_motor_s, model.tau_filter_s)
         case BatterySection(model=model):
             return _battery(identified, model.turns_ratio, model.droop_Ohm)
-        case BathSection():
-            return _bath(identified, section.model)
-        case _:
-            return dict(identified.parameters)
+        case BathSection(model=bath):
+            return _bath(identified, bath)
 
 
 def _bath(identified: result.IdentifiedLoad, model: BathModel) -> dict[str, Estimate]:
@@ -195,7 +190,7 @@ def _motor(
 def _battery(
     identified: result.IdentifiedLoad, turns_ratio: float, droop_Ohm: float
 ) -> dict[str, Estimate]:
-    def resistances(admittances: Array) -> Array:
+    def resistances(admittances: excerpt.Array) -> excerpt.Array:
         direct_S, gain_S, tau_s = admittances
         series_Ohm, total_Ohm = turns_ratio / direct_S, turns_ratio / gain_S
         relaxation_s = tau_s * total_Ohm / series_Ohm

@@ -17,16 +17,13 @@ from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
-from adaptdrive.identification.excerpt import Blocks, moment_responses, responses
+from adaptdrive.identification.excerpt import Array, Blocks, moment_responses, responses
 from adaptdrive.util.errors import IdentificationError
 
 # Fit of a load to blocks of a record by prediction errors.
-
-Array = NDArray[np.float64]
 
 CHARGE_DEGREE = 4
 """Degree of the polynomial by which a battery's own voltage follows its charge: its curve bends."""

@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification import fit
+from adaptdrive.identification.excerpt import Array
 from adaptdrive.identification.fit import Problem, Solution
 
 # An autoregressive model of what the load does not explain: A(q) v = e.
@@ -74,8 +74,6 @@ def ljung_box(parts: Sequence[Array], fitted: int) -> float:
 
 
 # Parameters, deviations and checks of a fitted load.
-
-Array = NDArray[np.float64]
 
 _TRAINING_SHARE = 0.7
 """Share of the data that the cross-check fits."""

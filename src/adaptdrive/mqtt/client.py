@@ -20,7 +20,7 @@ from aiomqtt import Client, Message, MqttError, ProtocolVersion
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt import commands, contract
 from adaptdrive.mqtt.connection import connection
-from adaptdrive.util.errors import NOT_JSON, AdaptdriveError
+from adaptdrive.util.errors import NOT_JSON, PlacedError
 
 # A conversation of an operator with one drive: the connection, its errors, the payloads.
 
@@ -32,13 +32,8 @@ TELEMETRY_WAIT_S = 1.5
 _SHORTEST_S = 1e-3  # paho takes no wait of 0
 
 
-class NoAnswerError(AdaptdriveError):
+class NoAnswerError(PlacedError):
     """A drive, or the broker in front of it, did not answer."""
-
-    def __init__(self, drive: str, problem: str) -> None:
-        self.drive = drive
-        self.problem = problem
-        super().__init__(f"{drive}: {problem}")
 
 
 def end_of(timeout_s: float) -> float:
@@ -75,11 +70,6 @@ def decoded(payload: bytes, kind: type[T]) -> T | None:
         return msgspec.json.decode(payload, type=kind)
     except NOT_JSON:
         return None
-
-
-def json_object(payload: bytes) -> dict[str, Any] | None:
-    """Return a JSON object, None for anything else."""
-    return decoded(payload, dict[str, Any])
 
 
 def _pass_on_cancellation(problem: Exception) -> None:
@@ -266,7 +256,7 @@ def _read(message: Message) -> tuple[str, str, dict[str, Any] | None]:
     payload = bytes(message.payload)
     if name == "availability":
         return drive, name, {name: payload.decode("utf-8", "replace")}
-    return drive, name, json_object(payload)
+    return drive, name, decoded(payload, dict[str, Any])
 
 
 # Operators' commands and disturbances: sent to one drive, and its reply.

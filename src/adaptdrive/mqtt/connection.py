@@ -178,9 +178,8 @@ class BrokerLink:
         async with connection(self._settings, protocol, name, self._will) as client:
             self._since_s = asyncio.get_running_loop().time()
             self._problem = ""
-            log.log(
-                "info", "broker connected", broker=self._place, protocol=protocol.name, name=name
-            )
+            place = self._place
+            log.log("info", "broker connected", broker=place, protocol=protocol.name, name=name)
             try:
                 await serve(client)
             finally:

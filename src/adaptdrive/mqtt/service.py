@@ -255,9 +255,8 @@ class MqttService:
         self._intake = publisher.Intake(hub, self._board, outbox, history, wall, profile.output)
         self._desk = self._build_desk(hub)
         alarm = partial(self._intake.report, "broker", reports.Severity.ALARM)
-        self._name = connection.ClientName(
-            f"adaptdrive-{drive}", surroundings.monotonic, alarm, host.trip
-        )
+        name, monotonic = f"adaptdrive-{drive}", surroundings.monotonic
+        self._name = connection.ClientName(name, monotonic, alarm, host.trip)
         will = Will(self._topics.availability, contract.OFFLINE, qos=1, retain=True)
         self._link = connection.BrokerLink(settings, self._name, will, surroundings.uniform)
 

@@ -206,9 +206,8 @@ def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> l
     if not logged.open and info.ended is session.Ending.OPEN:
         _with_reserve(logged.folder, lambda: _end(directory, info, logged, report))
     if logged.newest:
-        for sentence in segments.prune(
-            directory.parent, logged.header.keep, datetime.now(UTC), directory
-        ):
+        keep = logged.header.keep
+        for sentence in segments.prune(directory.parent, keep, datetime.now(UTC), directory):
             report(Severity.INFO, sentence)
     return trips
 
@@ -275,11 +274,8 @@ def close_segment(
 
 def _end(directory: Path, info: session.SessionInfo, logged: _Logged, report: Report) -> None:
     """Write how a session ended, and report what it lacks."""
-    ending = (
-        session.Ending.ORDERLY
-        if journal_files.last_of(logged.files, records.Kind.END)
-        else session.Ending.CUT
-    )
+    closed = journal_files.last_of(logged.files, records.Kind.END) is not None
+    ending = session.Ending.ORDERLY if closed else session.Ending.CUT
     session.write_info(directory, msgspec.structs.replace(info, ended=ending))
     if ending is session.Ending.CUT:
         last = reader.read_session(directory).last_tick

@@ -361,9 +361,8 @@ class Recorder:
         begun = self._archiving.directory is not None
         for what, problem in outcome.problems.items():
             if problem and what == writer.SYNC:
-                self._report(
-                    reports.Severity.WARNING, f"a power cut may take what is written: {problem}"
-                )
+                risk = f"a power cut may take what is written: {problem}"
+                self._report(reports.Severity.WARNING, risk)
             elif problem:
                 self._report(reports.Severity.ALARM, f"{STOPPED if begun else UNBEGUN}: {problem}")
             elif what != writer.SYNC and not self._log.failing:

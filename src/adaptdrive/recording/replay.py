@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.file import validate_configuration
+from adaptdrive.config.file import read_tables, validate_configuration
 from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.control.signals import Command, Decision, Snapshot, rebuild
 from adaptdrive.recording.reader import Session
@@ -167,9 +167,8 @@ class _Player:
         self.report = ReplayReport(session.path.name)
         self._controller = controller
         self._schedule = Schedule(controller, latency_ticks=0)  # delivered when it took effect
-        self._slow = {
-            row["k"]: row for row in table_rows(session, TableName.SLOW, ("k", *_DECIDED))
-        }
+        steps = table_rows(session, TableName.SLOW, ("k", *_DECIDED))
+        self._slow = {row["k"]: row for row in steps}
         self._decided = set(self._slow)
         self.known = 0
         for row in table_rows(session, TableName.TICKS, ("applied_k",)):
@@ -267,10 +266,7 @@ def reconfigured(text: str, source: Path, settings: Sequence[str]) -> Configurat
     Raises:
         ConfigurationError: A setting or its outcome is not valid; the key is named.
     """
-    try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as problem:
-        raise ConfigurationError(source, [Flaw("TOML", str(problem))]) from problem
+    tables = read_tables(text, source)
     flaws = [flaw for setting in settings if (flaw := _set(tables, setting))]
     if flaws:
         raise ConfigurationError(source, flaws)

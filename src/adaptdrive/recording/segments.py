@@ -25,15 +25,8 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import journal_files, session
+from adaptdrive.recording import journal_files, session, tables
 from adaptdrive.recording.records import ROW_KINDS, CommandRow, EventRow, Keep, Kind, Record, Ticks
-from adaptdrive.recording.tables import (
-    read_parquet,
-    rows_batch,
-    table_schema,
-    ticks_batch,
-    write_parquet,
-)
 from adaptdrive.runtime.reports import BINS, MONOTONIC, bin_of
 from adaptdrive.util.errors import NOT_JSON, RecordingError
 
@@ -89,7 +82,7 @@ class Segment:
             RecordingError: The file is damaged, or holds another table.
         """
         if not self.logged or self.path.exists():  # perhaps since it was listed
-            yield from read_parquet(self.path, schema)
+            yield from tables.read_parquet(self.path, schema)
         else:
             yield from logged_batches(self.logged, self.table, schema, losses)
 
@@ -100,7 +93,7 @@ class Segment:
             RecordingError: They are damaged.
         """
         try:
-            schema, kind = table_schema(self.table), KINDS[self.table][1]
+            schema, kind = tables.table_schema(self.table), KINDS[self.table][1]
             rows = (row for batch in self.rows(schema) for row in batch.to_pylist())
             return [msgspec.convert(row, kind) for row in rows]
         except (msgspec.ValidationError, ValueError, OverflowError) as problem:
@@ -123,14 +116,14 @@ def segments(directory: Path, info: session.SessionInfo, table: str | None = Non
     Raises:
         RecordingError: The folder of the log cannot be read.
     """
-    tables = KINDS if table is None else (table,)
+    wanted = KINDS if table is None else (table,)
     found: dict[tuple[int, str], Segment] = {}
     for part, group in groupby(journal_files.unarchived(directory, info), lambda file: file.part):
         files = tuple(group)
-        for name in tables:
+        for name in wanted:
             path = parquet_path(directory, name, part)
             found[part, name] = Segment(part, name, path, files)
-    closed = (one for one in closed_segments(directory) if one.table in tables)
+    closed = (one for one in closed_segments(directory) if one.table in wanted)
     found |= {(one.number, one.table): one for one in closed}
     return sorted(found.values())
 
@@ -182,7 +175,7 @@ def write_segment(
     times = {name: list(info.histograms.get(name, [0] * BINS)) for name in _TIMES}
     for table in KINDS:
         counted = _counted(rows_of(table), table, rows, times)
-        write_parquet(parquet_path(directory, table, part), counted)
+        tables.write_parquet(parquet_path(directory, table, part), counted)
     histograms = {name: tuple(counts) for name, counts in times.items()}
     return msgspec.structs.replace(info, segments=part, rows=rows, histograms=histograms)
 
@@ -233,7 +226,7 @@ def logged_batches(
         found = content_of(record, contents, losses) if record.kind is kind else None
         if found is None:
             continue
-        if table in session.NOTES:
+        if table in tables.NOTE_ROWS:
             found = [msgspec.structs.asdict(found)]
         timed.append((found, record.wall_s - record.monotonic_s))
         rows += found.rows if isinstance(found, Ticks) else len(found)
@@ -249,8 +242,9 @@ def _made(
     timed: Sequence[tuple[Any, float]], table: str, schema: pa.Schema, losses: list[str]
 ) -> list[pa.RecordBatch]:
     """Return a batch, or note that its rows do not fit their table, as those of another version."""
+    batch = tables.ticks_batch if table == session.TableName.TICKS else tables.rows_batch
     try:
-        return [(ticks_batch if table == session.TableName.TICKS else rows_batch)(timed, schema)]
+        return [batch(timed, schema)]
     except (LookupError, TypeError, ValueError, OverflowError) as problem:
         losses.append(f"rows that make no table: {problem}")
         return []
@@ -328,7 +322,7 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
 
 def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
     for segment in closed_segments(directory):
-        if segment.table in session.NOTES:
+        if segment.table in tables.NOTE_ROWS:
             continue
         if excess <= 0:
             return

@@ -45,8 +45,6 @@ class TableName(StrEnum):
 
 
 TABLES: tuple[str, ...] = (TableName.TICKS, TableName.SLOW, TableName.SENSORS)
-NOTES = (TableName.EVENTS, TableName.COMMANDS)
-"""Tables that a session keeps for as long as it exists."""
 
 NO_SESSION = "it holds no session; sessions are looked for here unless another folder is named"
 

@@ -41,6 +41,8 @@ NOTE_ROWS: dict[str, type[msgspec.Struct]] = {
     TableName.EVENTS: EventRow,
     TableName.COMMANDS: CommandRow,
 }
+"""Rows of the tables that a session keeps for as long as it exists."""
+
 _NOTE_TYPES = _TYPES | {str: pa.string(), datetime: UTC}
 _CHOICES = {one.name: one.choices for one in (*TICK_COLUMNS, *SLOW_COLUMNS) if one.choices}
 

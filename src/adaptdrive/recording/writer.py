@@ -211,7 +211,8 @@ class LogWriter:
         while not (self._closing.is_set() and self._idle):
             with contextlib.suppress(queue.Empty):
                 self._wakes.get(timeout=None if self._idle else _PAUSE_S)
-            self._write_all()
+            if self._tried(NOTES, self._write_notes) and self._rows_begun.is_set():
+                self._rows_fail = not self._tried(ROWS, self._write_rows)
         self._end_file()
         self._notify(LogStatus(written=True))
         self._syncs.put((None, self._notes_written))
@@ -220,10 +221,6 @@ class LogWriter:
     def _idle(self) -> bool:
         waiting = self.notes or self.rows or self._taken or self._taken_rows
         return not (waiting or self._rows_fail)
-
-    def _write_all(self) -> None:
-        if self._tried(NOTES, self._write_notes) and self._rows_begun.is_set():
-            self._rows_fail = not self._tried(ROWS, self._write_rows)
 
     def _write_notes(self) -> None:
         """Write events, commands and replies, on a full disk into the reserve."""

@@ -69,27 +69,15 @@ def _source(mode: Mode, decision: Decision | None) -> Mode:
     return Mode.FIXED if decided is Mode.MANUAL else decided
 
 
-def status_line(
-    report: reports.StateReport,
-    bus_problem: str | None,
-    cause: str | None,
-    *,
-    recorded: bool = True,
-) -> str:
-    """Return the state of a drive and what it waits for, and whether recording has failed.
+def status_line(report: reports.StateReport, bus_problem: str | None, cause: str | None) -> str:
+    """Return the state of a drive and what it waits for.
 
     Args:
         report: The state.
         bus_problem: Why the bus is lost, None while it is there.
         cause: Interlock that is active now, None for none. Only what comes before its colon is
             returned: the figures behind it change all the time.
-        recorded: Whether all that is to be recorded is.
     """
-    line = _state_line(report, bus_problem, cause)
-    return line if recorded else f"{line}; recording has failed"
-
-
-def _state_line(report: reports.StateReport, bus_problem: str | None, cause: str | None) -> str:
     obstacle = bus_problem or (cause and cause.partition(":")[0])
     match report.state:
         case reports.State.STANDBY:
@@ -176,9 +164,8 @@ def sensor_sample(buses: Sequence[SensorBus], now_s: float) -> reports.SensorSam
     """
     found = [(f"{bus.name}.{name}", bus, name) for bus in buses for name in bus.values]
     values = {column: bus.values[name] for column, bus, name in found}
-    return reports.SensorSample(
-        now_s, values, {column: now_s - bus.taken_s[n] for column, bus, n in found}
-    )
+    age_s = {column: now_s - bus.taken_s[name] for column, bus, name in found}
+    return reports.SensorSample(now_s, values, age_s)
 
 
 # The share of its frames that a port has to refuse, over a window of time.
@@ -352,11 +339,9 @@ class Announcer:
         self.update_manager()
 
     def update_manager(self) -> None:
-        """Give the service manager the status in one line."""
-        line = status_line(
-            self.published, self._bus_problem, self._fast.cause, recorded=self._recorded()
-        )
-        self._manager.status(line)
+        """Give the service manager the status in one line, and whether recording has failed."""
+        line = status_line(self.published, self._bus_problem, self._fast.cause)
+        self._manager.status(line if self._recorded() else f"{line}; recording has failed")
 
     def report_warning(self, warning: str, arrival_s: float) -> None:
         """Publish that the warnings of the drive are others than before.

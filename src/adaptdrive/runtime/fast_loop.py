@@ -142,11 +142,6 @@ class FastLoop:
             return cause
         return "the drive's bridge is on although it is commanded off"
 
-    @property
-    def reading_period_s(self) -> float:
-        """Time from one reading to the next, as measured."""
-        return self._half_cycles.reading_period_s
-
     def begin(self) -> None:
         """Start the stand-in timer; the first frame takes over from it."""
         self._arm(self._surroundings.now_s() + self._half_cycles.reading_period_s)

@@ -155,9 +155,8 @@ class MachineLimits:
         given, highest_V = self.drive.given, self.drive.limits.boost_reference_max_V
         _require(given.by_hand, value, self.floor_V, highest_V, f" {given.unit}".rstrip())
         if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
-            raise RefusedError(
-                f"hold_s = {hold_s:g} s is not above 0 s and at most {_LONGEST_HOLD_S:g} s"
-            )
+            allowed = f"above 0 s and at most {_LONGEST_HOLD_S:g} s"
+            raise RefusedError(f"hold_s = {hold_s:g} s is not {allowed}")
 
     def is_reached(self, boost_voltage_V: float) -> bool:
         """Return whether the lowest V_c is there, as far as it comes before the load is fed."""

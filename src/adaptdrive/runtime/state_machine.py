@@ -96,9 +96,8 @@ class Machine:
             return f"set-point is governed: {given.symbol} can hold {within}, and more is asked for"
         if self.waveform is not None:
             return ""
-        return (
-            f"set-point {self.setpoint:g} {unit} is outside {within}, which {given.symbol} can hold"
-        )
+        outside = f"set-point {self.setpoint:g} {unit} is outside {within}"
+        return f"{outside}, which {given.symbol} can hold"
 
     def _is_within(self, reach: Reach) -> bool:
         """Say whether V_c can hold every set-point that is asked for."""

@@ -49,9 +49,8 @@ async def watch(
     record = WatchRecord(drive, time.monotonic)
     show = functools.partial(view.screen, record, around=around)
     ask = over_mqtt(broker, drive, timeout_s)
-    return await run_view(
-        record, ask, [follow_drive(broker, record), *services], show, around.takes
-    )
+    every = [follow_drive(broker, record), *services]
+    return await run_view(record, ask, every, show, around.takes)
 
 
 async def run_view(
@@ -92,9 +91,8 @@ async def run_view(
             task.cancel()
         await asyncio.wait(tasks)
         if unanswered:
-            terminal.print_last(
-                "\n".join(f"adaptdrive: {commands.printable(one)}" for one in unanswered)
-            )
+            lines = (f"adaptdrive: {commands.printable(one)}" for one in unanswered)
+            terminal.print_last("\n".join(lines))
 
     seen = [] if show is None else [terminal.draw(show)]
     tasks = [asyncio.ensure_future(one) for one in (*services, *seen, ended.wait())]

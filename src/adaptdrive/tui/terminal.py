@@ -283,9 +283,8 @@ def pressed_keys(on_keys: Callable[[str], None]) -> Iterator[None]:
     usual = termios.tcgetattr(file)
     tty.setcbreak(file, termios.TCSANOW)
     settings = termios.tcgetattr(file)
-    settings[6][termios.VSUSP] = (
-        b"\0"  # Ctrl-Z: after `fg` the shell has the keys wait for an Enter
-    )
+    # Ctrl-Z: after `fg` the shell has the keys wait for an Enter
+    settings[6][termios.VSUSP] = b"\0"
     termios.tcsetattr(file, termios.TCSANOW, settings)
 
     def read() -> None:

@@ -57,13 +57,20 @@ class ConfigurationError(AdaptdriveError):
         return cls(source, [Flaw(place, message)])
 
 
-class BusError(AdaptdriveError):
-    """A bus cannot be opened or has been lost."""
+class PlacedError(AdaptdriveError):
+    """Says what is wrong with one bus, session or drive, whose name comes first in its message.
 
-    def __init__(self, bus: str, problem: str) -> None:
-        self.bus = bus
+    Attributes:
+        problem: What is wrong, without the name.
+    """
+
+    def __init__(self, place: Path | str, problem: str) -> None:
         self.problem = problem
-        super().__init__(f"{bus}: {problem}")
+        super().__init__(f"{place}: {problem}")
+
+
+class BusError(PlacedError):
+    """A bus cannot be opened or has been lost."""
 
 
 class RefusedError(AdaptdriveError):
@@ -74,13 +81,8 @@ class RefusedError(AdaptdriveError):
         super().__init__(reason)
 
 
-class RecordingError(AdaptdriveError):
+class RecordingError(PlacedError):
     """A recorded session cannot be written or read."""
-
-    def __init__(self, session: Path | str, problem: str) -> None:
-        self.session = session
-        self.problem = problem
-        super().__init__(f"{session}: {problem}")
 
 
 class CommissionError(AdaptdriveError):

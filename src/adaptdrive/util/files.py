@@ -66,7 +66,8 @@ def replace_regular(path: Path, content: bytes) -> None:
     Raises:
         OSError: The disk refuses; it names the file, which is as before.
     """
-    _replace(path, content, unfinished_path(path))
+    # the same name each time: what a process that was killed has left there is replaced
+    _replace(path, content, path.with_name(f"{path.name}.unfinished"))
 
 
 def replace_result(path: Path, content: bytes) -> None:
@@ -96,11 +97,6 @@ def _replace(path: Path, content: bytes, unfinished: Path) -> None:
         problem.filename, problem.filename2 = str(path), None
         raise
     _sync_directory(path.parent)
-
-
-def unfinished_path(path: Path) -> Path:
-    """Return the path of what will replace a file, left there by a process that was killed."""
-    return path.with_name(f"{path.name}.unfinished")
 
 
 def _sync_directory(directory: Path) -> None:

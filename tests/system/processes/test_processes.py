@@ -8,6 +8,8 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
@@ -54,11 +56,20 @@ def alive(pid: int) -> bool:
     return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
 
 
+@asynccontextmanager
+async def started(environment: dict[str, str]) -> AsyncIterator[ProcessGroup]:
+    processes = ProcessGroup(environment)
+    try:
+        yield processes
+    finally:
+        await processes.stop()
+
+
 async def test_the_last_one_started_ends_first(
     tmp_path: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    async with ProcessGroup(environment) as processes:
+    async with started(environment) as processes:
         for name in ("broker", "drive", "daemon"):
             await processes.start(name, "sleeper", ["ends", name], tmp_path / f"{name}.log")
             while not (tmp_path / name).exists():  # noqa: ASYNC110
@@ -71,7 +82,7 @@ async def test_the_first_death_is_told_with_the_end_of_its_log(
 ) -> None:
     (tmp_path / "broken.py").write_text("raise SystemExit('the capacitor is missing')")
     log = tmp_path / "daemon.log"
-    async with ProcessGroup(environment) as processes:
+    async with started(environment) as processes:
         await processes.start("daemon", "broken", [], log)
         with pytest.raises(ProcessDiedError) as died:
             await processes.watch()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from adaptdrive.cli.display import describe, refusal_advice, site_table
-from adaptdrive.mqtt.client import DriveStatus, json_object
+from adaptdrive.mqtt.client import DriveStatus, decoded
 
 _STATE = ("state", "trip", "last_trip", "output", "waveform", "setpoint", "pole", "since")
 _LOAD = ("estimates", "reference", "boost_reference_V", "k")
@@ -55,7 +55,7 @@ def test_the_list_shows_no_output_that_is_old(age_s: float | None, output: str) 
     "payload", [b"", b"[", b'{"a":"\xff"}', b'{"a":' + 4000 * b"[", b"7", b"\xff"], ids=repr
 )
 def test_a_payload_that_is_no_json_object_is_nothing(payload: bytes) -> None:
-    assert json_object(payload) is None
+    assert decoded(payload, dict[str, object]) is None
 
 
 def test_a_gain_has_the_unit_of_the_output_for_each_volt() -> None:

@@ -46,7 +46,7 @@ def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, LoopCourse, float]:
     finish(found, Rig(draw, random))
     assert found.outcome is not None
     load = build_load(draw.configuration)
-    identified = evaluate(found, [load])
+    identified = evaluate(found.course.record, found.outcome, [load])
     proposal = propose(identified, draw.text, parameters.EXAMPLES / "drawn.toml")
     rest_V = draw.target.middle_V(found.outcome.low_V, found.outcome.high_V)
     prediction = predict(identified, proposal.configuration, rest_V, draw.target.move)

@@ -61,7 +61,9 @@ def trial_of(draw: Draw, random: np.random.Generator) -> Trial:
     refusal, errors, sigmas, loop = "", {}, {}, None
     try:
         finish(found, rig)
-        identified = evaluate(found, [build_load(draw.configuration)])
+        assert found.outcome is not None
+        loads = [build_load(draw.configuration)]
+        identified = evaluate(found.course.record, found.outcome, loads)
         parameters = identified.parameters
         errors = {name: one.value / truth[name] - 1.0 for name, one in parameters.items()}
         sigmas = {name: (one.value - truth[name]) / one.std for name, one in parameters.items()}

@@ -10,7 +10,8 @@ import can
 import cantools
 import pytest
 
-from adaptdrive.config.bus import CanBus, SignalRange
+from adaptdrive.config.bus import CanBus
+from adaptdrive.config.section import Range
 from adaptdrive.devices.can.database import SignalCatalogue, describe, read_dbc
 from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.canopen.dictionary import ObjectCatalogue, read_eds
@@ -165,12 +166,12 @@ def test_a_stated_range_stands_in_place_of_a_wrong_one(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="ends below its start: state bus"):
         map_drive(bus, MOTOR.signals, TIMING)
     name = "DriveCommand.BoostReference"
-    stated = bus.model_copy(update={"ranges": {name: SignalRange(low=0.0, high=600.0)}})
+    stated = bus.model_copy(update={"ranges": {name: Range(low=0.0, high=600.0)}})
     (order,) = map_drive(stated, MOTOR.signals, TIMING).orders
     assert order.codec.encode({"BoostReference": 600.0})
     with pytest.raises(ValueError, match="outside 0…600"):
         order.codec.encode({"BoostReference": 600.1})
-    wrong = bus.model_copy(update={"ranges": {f"{name}s": SignalRange(low=0.0, high=1.0)}})
+    wrong = bus.model_copy(update={"ranges": {f"{name}s": Range(low=0.0, high=1.0)}})
     with pytest.raises(ConfigurationError, match=f"did you mean '{name}'"):
         map_drive(wrong, MOTOR.signals, TIMING)
 

@@ -11,11 +11,20 @@ from typing import cast
 import pytest
 
 from adaptdrive.control.signals import Decision, Mode, Snapshot
-from adaptdrive.runtime.accounts import status_line
+from adaptdrive.runtime.accounts import Announcer, status_line
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity, State, StateReport
+from adaptdrive.runtime.reports import (
+    Event,
+    Hub,
+    LoadReport,
+    Severity,
+    State,
+    StateReport,
+    StopWord,
+)
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.runtime.tick_support import ServiceManager
 from tests.unit.runtime.bench import (
     SETTINGS,
     MotorController,
@@ -149,5 +158,15 @@ def test_it_says_what_is_awaited(
         trip=TRIP if state is State.TRIPPED else None,
     )
     assert status_line(report, bus_problem, cause) == line
-    failed = status_line(report, bus_problem, cause, recorded=False)
-    assert failed == f"{line}; recording has failed"
+
+
+@pytest.mark.parametrize(("recorded", "rest"), [(True, ""), (False, "; recording has failed")])
+def test_it_says_that_recording_has_failed(recorded: bool, rest: str) -> None:
+    shown: list[str] = []
+    fast = SimpleNamespace(stopping=SimpleNamespace(status=StopWord.AWAITED), cause=None)
+    manager, machine = SimpleNamespace(status=shown.append), Machine(SETTINGS.machine)
+    announcer = Announcer(
+        machine, cast(FastLoop, fast), Hub(), cast(ServiceManager, manager), lambda: recorded
+    )
+    announcer.update_manager()
+    assert shown == [f"standby, waiting for enable{rest}"]

@@ -91,9 +91,8 @@ class MessageCodec:
         self._alive = AliveCounter(modulus, integrity.max_jump, cycle_s)
         self._data = b""
         self._checksum = checksum_function(integrity)
-        self._span = (
-            layout.checksum_span(message, integrity.checksum) if integrity.checksum else None
-        )
+        checksum = integrity.checksum
+        self._span = layout.checksum_span(message, checksum) if checksum else None
         if self._span is not None:
             self._covered = covered(integrity, self._span)
         self._proofs = {integrity.counter, integrity.checksum, integrity.nibble}

@@ -116,7 +116,9 @@ class FrameReader:
             except BlockingIOError:  # the kernel threw a damaged datagram away after announcing it
                 return None
             except can.CanOperationError as problem:
-                if not _is_garbage(problem):
+                # a datagram that could not be understood, as opposed to a socket that failed, has
+                # a cause other than an error of the system
+                if problem.__cause__ is None or isinstance(problem.__cause__, OSError):
                     return str(problem)
                 taker.take_garbage()
                 continue
@@ -137,11 +139,6 @@ def _fileno(bus: can.BusABC) -> int:
         return bus.fileno()
     except NotImplementedError:
         return -1
-
-
-def _is_garbage(problem: can.CanOperationError) -> bool:
-    """Return whether a datagram could not be understood, as opposed to a socket that failed."""
-    return problem.__cause__ is not None and not isinstance(problem.__cause__, OSError)
 
 
 # The connection of a port to its CAN bus: opened, read, sent on, and opened again when lost.

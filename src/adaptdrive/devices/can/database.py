@@ -12,7 +12,8 @@ from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import CanDescription, FrameAddress, FrameIntegrity, SignalRange
+from adaptdrive.config.bus import CanDescription, FrameAddress, FrameIntegrity
+from adaptdrive.config.section import Range
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.can import codec, layout
 from adaptdrive.devices.can.bus import channel_flaws
@@ -102,9 +103,7 @@ def _addressed(
                 message.frame_id = how.of(message.frame_id)
 
 
-def _ranged(
-    messages: Sequence[Message], ranges: Mapping[str, SignalRange], place: str
-) -> Iterator[Flaw]:
+def _ranged(messages: Sequence[Message], ranges: Mapping[str, Range], place: str) -> Iterator[Flaw]:
     """Change the ranges of signals; yield what names none."""
     known = {f"{one.name}.{signal.name}": signal for one in messages for signal in one.signals}
     for name, stated in ranges.items():
@@ -266,10 +265,8 @@ class SignalCatalogue(binding.Catalogue[Located]):
             if item is None:
                 continue
             self.note(f"{place}.{key}", self._proof_problem(key, item, integrity))
-            modulus, jump = (
-                layout.counter_modulus(layout.compile_field(item.signal)),
-                integrity.max_jump,
-            )
+            modulus = layout.counter_modulus(layout.compile_field(item.signal))
+            jump = integrity.max_jump
             if key == "counter" and jump >= modulus:
                 self.note(f"{place}.max_jump", f"{jump} must be below its {modulus} values")
         for key, problem in _form_flaws(message, integrity):

@@ -215,19 +215,16 @@ class SensorPort(CountingPort):
 def _build(
     configuration: Configuration, clock: Callable[[], float], source: Path | str, passive: bool
 ) -> port.Port:
-    return port.Port(
-        bus_of(configuration, CanBus), mapped(configuration, source), clock, takes_all=passive
-    )
+    bus, drive = bus_of(configuration, CanBus), mapped(configuration, source)
+    return port.Port(bus, drive, clock, takes_all=passive)
 
 
 def mapped(
     configuration: Configuration, source: Path | str = "configuration"
 ) -> assembly.CanMapping:
     """Return the messages of a drive, held against what its limits ask."""
-    timing, demands = configuration.timing, description.demands_of(configuration)
-    return mapping.map_drive(
-        bus_of(configuration, CanBus), configuration.signals, timing, source, demands
-    )
+    bus, demands = bus_of(configuration, CanBus), description.demands_of(configuration)
+    return mapping.map_drive(bus, configuration.signals, configuration.timing, source, demands)
 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:

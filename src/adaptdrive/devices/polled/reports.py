@@ -101,9 +101,8 @@ class PollHistory:
         """
         self.silent = self.silent or not answered
         if self._is_unheard:
-            self._relink.open(
-                bridge=self._given_on, how=faults.UNANSWERED if self.silent else faults.UNREAD
-            )
+            how = faults.UNANSWERED if self.silent else faults.UNREAD
+            self._relink.open(bridge=self._given_on, how=how)
         self.silent, self._blank = not answered, True
 
     def note_bridge(self, *, powered: bool) -> None:

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.client.mixin import ModbusClientMixin
 
-from adaptdrive.config.polled import Register, RegisterRange
+from adaptdrive.config.polled import Register
+from adaptdrive.config.section import Range
 from adaptdrive.devices.polled.registers import (
     decode,
     encode_count,
@@ -138,7 +139,7 @@ def test_a_float_that_is_too_large_is_not_sent() -> None:
 
 @given(st.floats(0.0, 600.0))
 def test_scaling_loses_at_most_half_a_count(value: float) -> None:
-    described = register(scale=0.01, range=RegisterRange(low=0.0, high=600.0).model_dump())
+    described = register(scale=0.01, range=Range(low=0.0, high=600.0).model_dump())
     back = decode_value(described, encode_value(described, value), measured=True)
     assert back is not None
     assert abs(back - value) <= 0.005 + 1e-9
