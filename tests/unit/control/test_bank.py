@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from adaptdrive.control.estimation import bank, regression, uncertainty
 from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation.branch import Observation, predict_sample
+from adaptdrive.control.estimation.branch import Observation, new_branch, predict_sample
 from adaptdrive.control.estimation.change import ChangeDetector
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.estimation.regression import theta_of
@@ -238,7 +238,7 @@ def test_an_estimate_of_any_age_that_falls_behind_is_still_followed() -> None:
     """Odds of 20 to 1 change the estimate, and only clear odds end a branch."""
     for age in (100, 151):
         known = bank.new_bank(4)
-        before, other = known.estimate, bank.new_branch(4)
+        before, other = known.estimate, new_branch(4)
         before.age, before.score, other.age, other.score = age, -3.1, 3, 0.0
         known.branches.append(other)
         assert bank._choose(known)
