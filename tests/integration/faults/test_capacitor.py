@@ -13,6 +13,7 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
 from adaptdrive_sim.plants.boost import Sample
 from tests.integration.faults.course import Course, example, example_path
+from tests.support import sample
 
 LIMIT_V = 430.0
 
@@ -142,7 +143,7 @@ def test_a_report_that_falls_while_the_load_takes_nothing_is_not_frozen(power_W:
     assert course.begin(), course.daemon.trip
 
 
-@pytest.mark.parametrize("share", [0.3, 0.7])
+@pytest.mark.parametrize("share", sample([0.3, 0.7], 1))
 @pytest.mark.parametrize(
     ("name", "settle_s", "seconds"), [("motor, CAN", 30.0, 10.0), ("bath, CAN", 300.0, 60.0)]
 )
