@@ -137,10 +137,7 @@ def _models(settings: ControllerSettings, load: Load, period_s: float) -> list[M
 def _stands(load: Load, models: list[Model], pole: float) -> bool:
     """Return whether the gains for the first of some models keep all of them stable."""
     gains = pole_placement.compensator_gains(*models[0], load.order, pole)
-    return all(
-        pole_placement.closes_stably(gains, a, b, load.order, pole_placement.STABLE_RADIUS)
-        for a, b in models
-    )
+    return all(pole_placement.closes_stably(gains, a, b, load.order) for a, b in models)
 
 
 def _poles(start: float, end: float) -> list[float]:

@@ -207,7 +207,9 @@ class Controller:
             self._bank.quantiser = quantiser
             first = held if self.load.charging is None else voltage
             self.state = new_slow_state(self.settings, self.load, output, first)
-            self.state.watch.slow = self.load.gain * to_input(  # or where the sensor says it rests
+            # v_bst may hold the load at another output than this: the other lag of the response
+            # watch begins there, so that a load which rests where it is need not move
+            self.state.watch.slow = self.load.gain * to_input(
                 voltage, self.load.input_gain, self.load.input_exponent
             )
             self._reach = setpoints.nominal_reach(self.load, limits)

@@ -58,7 +58,7 @@ class ConfigurationError(AdaptdriveError):
 
 
 class PlacedError(AdaptdriveError):
-    """Says what is wrong with one bus, session or drive, whose name comes first in its message.
+    """An error of one bus, session or drive: its message begins with the name of that.
 
     Attributes:
         problem: What is wrong, without the name.

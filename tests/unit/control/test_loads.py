@@ -22,7 +22,7 @@ from adaptdrive.control.loads.discretise import impulse_invariant_pair
 from adaptdrive.control.loads.load import Load, to_input, to_voltage
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.loads.motor import paper_model as motor_model
-from adaptdrive.control.supervision.supervisor import Verdict, judge_load
+from adaptdrive.control.supervision.supervisor import Verdict, judge_poles
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.integration.closed_loop.bench import EXACT, PAPER, TICK_s
 from tests.unit.control.systems import System, held_polynomials
@@ -113,7 +113,7 @@ def test_the_papers_model_is_the_step_invariant_one() -> None:
 def test_an_estimate_that_grows_beyond_all_numbers_is_refused(pole: float) -> None:
     """The paper's design has no bounds for what is estimated."""
     a, _ = discrete_model(PAPER, HEATED, [0.0, 1e-4], [1.0, -pole], 25.0)
-    assert judge_load(a) == Verdict.NOT_FINITE
+    assert judge_poles(a, Verdict.UNSTABLE_LOAD) == Verdict.NOT_FINITE
 
 
 BATTERY = battery_load(turns_ratio=0.25, series_Ohm=1.2, relaxation_Ohm=0.3, relaxation_s=60.0)

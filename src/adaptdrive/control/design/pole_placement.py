@@ -319,18 +319,20 @@ def response_spread(
     return math.sqrt(max(squares))
 
 
-def closes_stably(gains: Vector, a: Vector, b: Vector, order: int, radius: float) -> bool:
-    """Return whether gains and a model A, B make a loop whose poles lie within a circle.
+def closes_stably(gains: Vector, a: Vector, b: Vector, order: int) -> bool:
+    """Return whether gains and a model A, B make a stable loop.
 
     Args:
         gains: r_1 ... r_n, s_0 ... s_m.
         a: A of the model.
         b: B of the model.
         order: m.
-        radius: Of the circle about 0.
     """
-    polynomial = closed_loop(gains, a, b, order)
-    return vectors.all_finite(polynomial) and vectors.is_stable(polynomial, radius)
+    return _is_stable(closed_loop(gains, a, b, order))
+
+
+def _is_stable(polynomial: Vector) -> bool:
+    return vectors.all_finite(polynomial) and vectors.is_stable(polynomial, STABLE_RADIUS)
 
 
 def closed_loop(gains: Vector, a: Vector, b: Vector, order: int) -> Vector:
@@ -361,7 +363,7 @@ def _response(order: int, model: Vector, gains: Vector, driven: Vector) -> Vecto
     """y[k] of a load in the loop of some gains; infinite where that is not stable."""
     a, b = model[: order + 1], model[order + 1 :]
     closed = closed_loop(gains, a, b, order)
-    if not (vectors.all_finite(closed) and vectors.is_stable(closed, STABLE_RADIUS)):
+    if not _is_stable(closed):
         return [math.inf] * len(driven)
     return _filtered(b, closed, driven)
 

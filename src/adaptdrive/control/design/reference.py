@@ -253,8 +253,8 @@ def plan(
     found = law[past]
     if min(wanted) < low or max(wanted) > high:
         found = _planned(a, b, state.course, ideal[past:], wanted, low, high)
-        known = [*references, state.course[0]]
-        found = min(max(found, min(known)), max(known))  # no error is left for one to come
+        known = [*references, state.course[0]]  # not beyond a level to be nearer to the next
+        found = min(max(found, min(known)), max(known))
     state.moved = found - ideal[past]
     return found
 

@@ -129,7 +129,8 @@ def _redesign(
         state.new_loop, detuned_loop(solved, a, b, load.order, sample.pole, noise, limit)
     )
     vectors.copy_into(gains, pole_placement.loop_gains(solved, a, b, state.new_loop))
-    verdict = supervisor.judge_loop(pole_placement.closed_loop(gains, a, b, load.order))
+    closed = pole_placement.closed_loop(gains, a, b, load.order)
+    verdict = supervisor.judge_poles(closed, supervisor.Verdict.UNSTABLE_LOOP)
     if verdict != supervisor.Verdict.TRUSTED:
         return verdict
     state.model_a, state.model_b, state.equation = a, b, solved
@@ -218,7 +219,7 @@ def judge_physical(
     if verdict != supervisor.Verdict.TRUSTED:
         return denominator, numerator, verdict
     a, b = pole_placement.discrete_model(settings, load, numerator, denominator, period_s)
-    return a, b, supervisor.judge_load(a)
+    return a, b, supervisor.judge_poles(a, supervisor.Verdict.UNSTABLE_LOAD)
 
 
 def judged_model(
@@ -231,7 +232,7 @@ def judged_model(
         return judge_physical(settings, load, state, numerator, denominator, period_s)
     a, b = denominator, numerator
     _show(load, state, a, b, period_s)
-    return a, b, supervisor.judge_load(a)
+    return a, b, supervisor.judge_poles(a, supervisor.Verdict.UNSTABLE_LOAD)
 
 
 def _show(load: Load, state: SlowState, a: Vector, b: Vector, period_s: float) -> None:

@@ -139,20 +139,16 @@ def _over_own_errors(state: SupervisorState, power: float) -> float:
     return math.sqrt(power / max(state.own_power, _RESIDUAL_FLOOR))
 
 
-def judge_load(a: Vector) -> int:
-    """Check whether the discrete model is finite and stable."""
-    if not vectors.all_finite(a):
-        return Verdict.NOT_FINITE
-    return Verdict.TRUSTED if vectors.is_stable(a, STABLE_RADIUS) else Verdict.UNSTABLE_LOAD
+def judge_poles(polynomial: Vector, refusal: int) -> int:
+    """Check whether a polynomial in z is finite and stable.
 
-
-def judge_loop(closed_loop: Vector) -> int:
-    """Check whether the designed loop is finite and stable."""
-    if not vectors.all_finite(closed_loop):
+    Args:
+        polynomial: A of the discrete model, or A_c of the designed loop.
+        refusal: Verdict on one that is not stable.
+    """
+    if not vectors.all_finite(polynomial):
         return Verdict.NOT_FINITE
-    return (
-        Verdict.TRUSTED if vectors.is_stable(closed_loop, STABLE_RADIUS) else Verdict.UNSTABLE_LOOP
-    )
+    return Verdict.TRUSTED if vectors.is_stable(polynomial, STABLE_RADIUS) else refusal
 
 
 def take_verdict(
