@@ -7,8 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from adaptdrive.control.signals import Column
 from adaptdrive.runtime.reports import SLOW_COLUMNS, TICK_COLUMNS
+from adaptdrive.util.quantity import Column
 
 _HEAD = """\
 # Columns

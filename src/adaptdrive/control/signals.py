@@ -1,7 +1,4 @@
-"""The values that enter and leave the controller, their columns, and set-point waveforms.
-
-A field is declared once, in its dataclass, with its unit and its meaning. The MQTT message, the
-recorded row, the Arrow schema and the page `docs/columns.md` are made from that declaration.
+"""The values that enter and leave the controller, and set-point waveforms.
 
 All inputs of the controller arrive in a `Measurement` and an `Order`; all its outputs
 leave in a `Command`. A recording of the first two reproduces the third bit for bit. A field that
@@ -9,117 +6,11 @@ is annotated with a `Quantity` is a column of the messages and of the recording.
 """
 
 import math
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
-from operator import attrgetter
-from types import UnionType
-from typing import Annotated, Any, Self, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Self
 
-# Columns: the fields of a fast tick and of a slow step, as published, recorded and documented.
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """The annotation of a field that is a column.
-
-    Attributes:
-        unit: Unit: a symbol, `y` for the unit of the output, `u` for that of the load's input,
-            `v` for that of what the drive is commanded, and gives, or an empty string for a plain
-            number or a text.
-        meaning: What the value is.
-        name: Name of the column where the field's own is not unique.
-    """
-
-    unit: str
-    meaning: str
-    name: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One column.
-
-    Attributes:
-        name: Its name in messages and on disk.
-        kind: `float`, `int`, `bool`, `str`, `tuple` (of floats) or `dict` (estimates by name).
-        unit: Unit, as in `Quantity`.
-        meaning: What the value is.
-        source: Path of the field in the report.
-        read: Takes the value from a report.
-        choices: All values that it can have, none where it can have any.
-    """
-
-    name: str
-    kind: type
-    unit: str
-    meaning: str
-    source: str
-    read: Callable[[Any], Any]
-    choices: tuple[str, ...] = ()
-
-
-def columns_of(report: type, path: str = "") -> tuple[Column, ...]:
-    """Return the columns of a report: its own fields, and those of the dataclasses in it."""
-    columns: list[Column] = []
-    for name, (kind, quantity) in _fields(report).items():
-        place = f"{path}{name}"
-        if quantity is not None:
-            choices = tuple(kind) if issubclass(kind, StrEnum) else ()
-            is_text = bool(choices) or is_dataclass(kind)
-            label, stored = quantity.name or name, str if is_text else kind
-            about = (quantity.unit, quantity.meaning, place)
-            read = _text_getter(place) if is_dataclass(kind) else attrgetter(place)
-            columns.append(Column(label, stored, *about, read, choices))
-        elif is_dataclass(kind):
-            columns += columns_of(kind, f"{place}.")
-    return tuple(columns)
-
-
-def _text_getter(place: str) -> Callable[[Any], str]:
-    """Return what reads a field as text, empty for None."""
-    read = attrgetter(place)
-
-    def text(report: Any) -> str:  # noqa: ANN401 - any report
-        value = read(report)
-        return "" if value is None else str(value)
-
-    return text
-
-
-def rebuild(report: Callable[..., T], row: dict[str, Any]) -> T:
-    """Return the report of which a row holds the columns."""
-    values: dict[str, Any] = {}
-    for name, (kind, quantity) in _fields(report).items():
-        if quantity is not None:
-            stored = row[quantity.name or name]
-            values[name] = getattr(kind, "parse", kind)(stored)
-        elif is_dataclass(kind):
-            values[name] = rebuild(kind, row)
-    return report(**values)
-
-
-@cache
-def _fields(report: Hashable) -> dict[str, tuple[type, Quantity | None]]:
-    """Return type and annotation of each field by its name."""
-    plain, annotated = get_type_hints(report), get_type_hints(report, include_extras=True)
-    return {name: (_kind(hint), _quantity(annotated[name])) for name, hint in plain.items()}
-
-
-def _kind(hint: Any) -> type:  # noqa: ANN401 - any annotation
-    """Return the class of an annotation, without its parameters and without None."""
-    origin = get_origin(hint)
-    found: type = get_args(hint)[0] if origin is UnionType else origin or hint
-    return found
-
-
-def _quantity(hint: Any) -> Quantity | None:  # noqa: ANN401 - any annotation
-    found = getattr(hint, "__metadata__", ())
-    return next((one for one in found if isinstance(one, Quantity)), None)
-
+from adaptdrive.util.quantity import Quantity
 
 # Set-point waveforms: pure functions of the time since they were started.
 
@@ -326,8 +217,7 @@ class Decision:
     k: int
     boost_reference_V: Annotated[float, Quantity("v", "V_c decided now, after limits")]
     controller: Annotated[
-        Mode,
-        Quantity("", "source of V_c in force; fixed until the estimates are trusted"),
+        Mode, Quantity("", "source of V_c in force; fixed until the estimates are trusted")
     ]
     accepted: Annotated[
         bool, Quantity("", "true when the estimates of this step reached the adaptive gains")

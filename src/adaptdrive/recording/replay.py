@@ -17,11 +17,12 @@ from typing import Any
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_tables, validate_configuration
 from adaptdrive.control.schedule import Schedule, TwoRate
-from adaptdrive.control.signals import Command, Decision, Snapshot, rebuild
+from adaptdrive.control.signals import Command, Decision, Snapshot
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.session import INFO_FILE, TableName
 from adaptdrive.runtime.reports import TICK_COLUMNS, TickReport
 from adaptdrive.util.errors import ConfigurationError, Flaw, RecordingError
+from adaptdrive.util.quantity import rebuild
 
 # Replay: the controller runs again on recorded measurements, and its commands are compared.
 

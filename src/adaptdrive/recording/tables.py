@@ -15,7 +15,6 @@ import msgspec
 import pyarrow as pa
 from pyarrow import parquet as pq
 
-from adaptdrive.control.signals import Column
 from adaptdrive.recording.records import CommandRow, EventRow, Ticks
 from adaptdrive.recording.session import SensorColumn, SessionInfo, TableName
 from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
@@ -47,7 +46,7 @@ _NOTE_TYPES = _TYPES | {str: pa.string(), datetime: UTC}
 _CHOICES = {one.name: one.choices for one in (*TICK_COLUMNS, *SLOW_COLUMNS) if one.choices}
 
 
-def _field(column: Column | SensorColumn, kind: pa.DataType, unit: str) -> pa.Field:
+def _field(column: quantity.Column | SensorColumn, kind: pa.DataType, unit: str) -> pa.Field:
     about = {"unit": unit, "description": column.meaning, "source": column.source}
     return pa.field(column.name, kind, metadata=about)
 

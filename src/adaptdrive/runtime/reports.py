@@ -15,6 +15,7 @@ from typing import Annotated, Any, Generic, TypeVar
 from adaptdrive.control import signals
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
 from adaptdrive.util.errors import escaped
+from adaptdrive.util.quantity import Quantity, columns_of
 
 # Reports of the runtime: immutable snapshots, never live objects.
 
@@ -100,7 +101,7 @@ class LoadReport:
     decision: signals.Decision
     time_s: Annotated[
         float,
-        signals.Quantity("s", "monotonic time at which the decision was taken over", MONOTONIC),
+        Quantity("s", "monotonic time at which the decision was taken over", MONOTONIC),
     ] = math.nan
 
 
@@ -242,28 +243,26 @@ class TickReport:
 
     sequence: Annotated[
         int,
-        signals.Quantity("", "running number of the ticks since the controller was built, from 0"),
+        Quantity("", "running number of the ticks since the controller was built, from 0"),
     ]
     measurement: signals.Measurement
     order: signals.Order
     applied_k: Annotated[
         int,
-        signals.Quantity(
-            "", "slow index of the decision that took effect at this tick, -1 for none"
-        ),
+        Quantity("", "slow index of the decision that took effect at this tick, -1 for none"),
     ]
     command: signals.Command
-    lateness_us: Annotated[float, signals.Quantity("µs", "lateness of the tick")]
+    lateness_us: Annotated[float, Quantity("µs", "lateness of the tick")]
     turnaround_us: Annotated[
         float,
-        signals.Quantity("µs", "status frame in to command frame out; NaN on a stand-in tick"),
+        Quantity("µs", "status frame in to command frame out; NaN on a stand-in tick"),
     ]
-    tick_us: Annotated[
-        float, signals.Quantity("µs", "duration of the tick, from interlocks to wire")
-    ] = math.nan
-    time_s: Annotated[
-        float, signals.Quantity("s", "monotonic time at the end of the tick", MONOTONIC)
-    ] = math.nan
+    tick_us: Annotated[float, Quantity("µs", "duration of the tick, from interlocks to wire")] = (
+        math.nan
+    )
+    time_s: Annotated[float, Quantity("s", "monotonic time at the end of the tick", MONOTONIC)] = (
+        math.nan
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,8 +288,8 @@ class CommandReport:
 
 Report = StateReport | LoadReport | DriveReport | SensorSample | Event | TickReport | CommandReport
 
-TICK_COLUMNS = signals.columns_of(TickReport)
-SLOW_COLUMNS = signals.columns_of(LoadReport)
+TICK_COLUMNS = columns_of(TickReport)
+SLOW_COLUMNS = columns_of(LoadReport)
 
 
 # Reports from the runtime to everyone else, through queues that can never block it.
