@@ -196,9 +196,9 @@ def _physical(load: Load, numerator: Vector, denominator: Vector) -> Vector:
 
 def _chain(order: int, tick_s: float, tau_s: float, ticks: int) -> tuple[Array, Array]:
     """Weights of the values within a slow period, and the transition over it, of a λ chain."""
-    decay = filters.chain_decay(order, tick_s, tau_s)
-    rise = np.array(filters.ramp_gains(order, tick_s, tau_s))
-    fall = np.array(filters.step_gains(order, tick_s, tau_s)) - rise
+    decay, held, ramp = filters.chain_gains(order, tick_s, tau_s)
+    rise = np.array(ramp)
+    fall = np.array(held) - rise
     once = sum(decay[j] * np.eye(order, k=-j) for j in range(order))
     weights, over = np.zeros((order, ticks + 1)), np.eye(order)
     for tick in range(ticks - 1, -1, -1):

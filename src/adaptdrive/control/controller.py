@@ -252,12 +252,13 @@ class Controller:
             self._snapshot = self._take(measurement, order, k)
 
     def _take(self, measurement: Measurement, order: Order, k: int) -> Snapshot:
-        rates, learning, order_m = self.settings.rates, self.settings.learning, self.load.order
+        rates, order_m = self.settings.rates, self.load.order
         held_V = self._fast.boost_reference_V if self._fast.by_hand else math.nan
         means = fast.take_means(self._bank)
         applied_V, followed, held = fast.close_period(self._fast, self.settings)
         resolution, rounding = fast.take_rounding(self.settings, self._bank)
-        fast.tune_filters(self._bank, measurement.tick_period_s, learning.tau_lambda_s)
+        tick_s, tau_s = measurement.tick_period_s, self.settings.learning.tau_lambda_s
+        self._bank.gains = filters.chain_gains(order_m, tick_s, tau_s)
         return Snapshot(
             k=k,
             tick=measurement.tick,

@@ -6,9 +6,10 @@ map), not V_c: the lag of the voltage loop would otherwise be taken for the load
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
-from adaptdrive.control import signals, thresholds, vectors, voltage_loop
+from adaptdrive.control import signals, thresholds, voltage_loop
 from adaptdrive.control.estimation import filters
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import ControllerSettings, PowerStage
@@ -32,32 +33,20 @@ class FilterBank:
     """The λ chains of output and input, and their sums over the averaging window.
 
     Attributes:
-        decay: φ of both chains.
-        held: P of both chains.
-        ramp: R of both chains.
-        outputs: λy ... λ^m y.
-        inputs: λu ... λ^m u.
-        output: y at the last tick.
-        load_input: u at the last tick, a dead time ago.
-        fed: u at the last tick.
-        late: u of the last tick and of those of the dead time.
-        oldest: Place of the oldest of them.
+        gains: φ, P and R of both chains.
+        outputs: y, λy ... λ^m y.
+        inputs: u of a dead time ago, λu ... λ^m u.
+        late: u of the last ticks, from a dead time ago until now.
         sums: Sums over the window: y, λy ... λ^m y, u, λu ... λ^m u.
         count: Samples in `sums`.
         outlier_filter: What stands in front of the output's chain.
         quantiser: What is known of the resolution of the output.
     """
 
-    decay: Vector
-    held: Vector
-    ramp: Vector
+    gains: filters.Gains
     outputs: Vector
     inputs: Vector
-    output: float
-    load_input: float
-    fed: float
-    late: Vector
-    oldest: int
+    late: deque[float]
     sums: Vector
     count: int
     outlier_filter: filters.OutlierFilter
@@ -106,17 +95,12 @@ def new_filter_bank(
     order = load.order
     load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
     expected = load.gain * load_input
-    bank = FilterBank(
-        decay=[0.0] * order,
-        held=[0.0] * order,
-        ramp=[0.0] * order,
-        outputs=[output] * order,
-        inputs=[load_input] * order,
-        output=output,
-        load_input=load_input,
-        fed=load_input,
-        late=[load_input] * (1 + round(load.delay_s / tick_period_s)),
-        oldest=0,
+    ticks = 1 + round(load.delay_s / tick_period_s)
+    return FilterBank(
+        gains=filters.chain_gains(order, tick_period_s, tau_lambda_s),
+        outputs=[output] * (order + 1),
+        inputs=[load_input] * (order + 1),
+        late=deque([load_input] * ticks, ticks),
         sums=[0.0] * (2 * order + 2),
         count=0,
         outlier_filter=filters.OutlierFilter(
@@ -124,16 +108,6 @@ def new_filter_bank(
         ),
         quantiser=filters.Quantiser(output),
     )
-    tune_filters(bank, tick_period_s, tau_lambda_s)
-    return bank
-
-
-def tune_filters(bank: FilterBank, tick_period_s: float, tau_lambda_s: float) -> None:
-    """Set the coefficients of the chains for a tick length."""
-    order = len(bank.decay)
-    bank.decay[:] = filters.chain_decay(order, tick_period_s, tau_lambda_s)
-    bank.held[:] = filters.step_gains(order, tick_period_s, tau_lambda_s)
-    bank.ramp[:] = filters.ramp_gains(order, tick_period_s, tau_lambda_s)
 
 
 def take_in(
@@ -177,33 +151,20 @@ def take_in(
 
 def filter_sample(bank: FilterBank, output: float, load_input: float, ticks: int) -> None:
     """Move the chains to a new sample, linearly over the ticks since the last one."""
-    for i in range(ticks):
-        y0 = bank.output + (output - bank.output) * i / ticks
-        y1 = bank.output + (output - bank.output) * (i + 1) / ticks
-        u0 = bank.load_input
-        bank.load_input = _delayed(bank, bank.fed + (load_input - bank.fed) * (i + 1) / ticks)
-        filters.advance(bank.outputs, bank.decay, bank.held, bank.ramp, y0, y1)
-        filters.advance(bank.inputs, bank.decay, bank.held, bank.ramp, u0, bank.load_input)
-    bank.output = output
-    bank.fed = load_input
-
-
-def _delayed(bank: FilterBank, load_input: float) -> float:
-    """Return the input of a dead time ago, and keep the present one."""
-    bank.late[bank.oldest] = load_input
-    bank.oldest = (bank.oldest + 1) % len(bank.late)
-    return bank.late[bank.oldest]
+    last_output, last_input = bank.outputs[0], bank.late[-1]
+    for i in range(1, ticks + 1):
+        bank.late.append(last_input + (load_input - last_input) * i / ticks)
+        filters.advance(bank.outputs, bank.gains, last_output + (output - last_output) * i / ticks)
+        filters.advance(bank.inputs, bank.gains, bank.late[0])
+    bank.outputs[0], bank.late[-1] = output, load_input
 
 
 def accumulate(bank: FilterBank) -> None:
     """Add the present sample to the window."""
-    order = len(bank.outputs)
-    sums = bank.sums
-    sums[0] += bank.output
-    sums[order + 1] += bank.load_input
-    for i in range(order):
-        sums[i + 1] += bank.outputs[i]
-        sums[order + 2 + i] += bank.inputs[i]
+    size = len(bank.outputs)
+    for i in range(size):
+        bank.sums[i] += bank.outputs[i]
+        bank.sums[size + i] += bank.inputs[i]
     bank.count += 1
 
 
@@ -212,8 +173,7 @@ def take_means(bank: FilterBank) -> Vector:
     if bank.count == 0:
         accumulate(bank)
     means = [value / bank.count for value in bank.sums]
-    vectors.copy_into(bank.sums, [0.0] * len(bank.sums))
-    bank.count = 0
+    bank.sums, bank.count = [0.0] * len(means), 0
     return means
 
 

@@ -199,12 +199,12 @@ def _learn_filtered(
     )
     state = est.new_estimator(METHODS[learning.method], learning, load, load.paper_taps)
     for n, output in enumerate(outputs):
-        bank.load_input = float(held[max(0, n - 1)])  # held from the beginning of the tick
-        fast.filter_sample(bank, float(output), bank.load_input, 1)
+        bank.inputs[0] = bank.late[-1] = float(held[max(0, n - 1)])  # held from its beginning
+        fast.filter_sample(bank, float(output), bank.inputs[0], 1)
         if n % ticks == 0 and n:
-            powers = [float(held[n - 1]), *bank.inputs]
+            powers = [float(held[n - 1]), *bank.inputs[1:]]
             regression.fill_filtered_regressor(
-                state.sample.regressor, learning, load, bank.outputs, powers
+                state.sample.regressor, learning, load, bank.outputs[1:], powers
             )
             est.update_estimate(state, learning, load, float(output), usable=True)
     found = load.physical(*regression.filtered_model(state.estimate.theta, learning, load))

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
-from adaptdrive.control.estimation.filters import advance, chain_decay, ramp_gains, step_gains
+from adaptdrive.control.estimation.filters import advance, chain_gains
 from adaptdrive.control.estimation.regression import from_lambda, to_lambda
 from tests.unit.control.systems import Array, System, decades, motor_system, stable_systems
 
@@ -27,10 +27,6 @@ def cascade(order: int) -> tuple[Array, Array, Array, Array]:
     return a, b, np.eye(order), np.zeros((order, 1))
 
 
-def gains_of(order: int, h: float) -> tuple[list[float], list[float], list[float]]:
-    return chain_decay(order, h, 1.0), step_gains(order, h, 1.0), ramp_gains(order, h, 1.0)
-
-
 def toeplitz(decay: list[float]) -> Array:
     size = len(decay)
     return np.array([[decay[i - j] if i >= j else 0.0 for j in range(size)] for i in range(size)])
@@ -40,18 +36,20 @@ def toeplitz(decay: list[float]) -> Array:
 @pytest.mark.parametrize("h", RATIOS)
 def test_the_held_chain_is_the_step_invariant_discretisation(order: int, h: float) -> None:
     a, b, *_ = cont2discrete(cascade(order), h, "zoh")
-    assert np.abs(toeplitz(chain_decay(order, h, 1.0)) - a).max() < 1e-12
-    assert np.abs(np.array(step_gains(order, h, 1.0)) - b[:, 0]).max() < 1e-12
+    decay, held, _ = chain_gains(order, h, 1.0)
+    assert np.abs(toeplitz(decay) - a).max() < 1e-12
+    assert np.abs(np.array(held) - b[:, 0]).max() < 1e-12
 
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("h", RATIOS)
 def test_the_ramp_chain_is_the_first_order_hold_discretisation(order: int, h: float) -> None:
     a, b, _, d, _ = cont2discrete(cascade(order), h, "foh")
-    held, ramp = np.array(step_gains(order, h, 1.0)), np.array(ramp_gains(order, h, 1.0))
+    gains = np.array(chain_gains(order, h, 1.0))
+    _, held, ramp = gains
     assert np.abs(ramp - d[:, 0]).max() < 1e-12
-    for gains in (chain_decay, step_gains, ramp_gains):  # only the ratio of the times counts
-        assert gains(order, 7.0 * h, 7.0) == pytest.approx(gains(order, h, 1.0), rel=1e-13)
+    # only the ratio of the times counts
+    assert np.array(chain_gains(order, 7.0 * h, 7.0)) == pytest.approx(gains, rel=1e-13)
     # scipy shifts the state by the ramp response to make the system a proper one
     assert np.abs((held - ramp) + (a - np.eye(order)) @ ramp + ramp - b[:, 0]).max() < 1e-12
 
@@ -74,14 +72,14 @@ def series(stage: int, h: Fraction, ramp: bool) -> float:
     st.lists(st.floats(-5.0, 5.0), min_size=2, max_size=30),
 )
 def test_a_chain_follows_a_broken_line_exactly(order: int, h: float, corners: list[float]) -> None:
-    chain = [corners[0]] * order
-    gains = gains_of(order, h)
+    chain = [corners[0]] * (order + 1)
+    gains = chain_gains(order, h, 1.0)
     a, b, _, d, _ = cont2discrete(cascade(order), h, "foh")
     shifted = np.full(order, corners[0]) - d[:, 0] * corners[0]
     for start, end in pairwise(corners):
-        advance(chain, *gains, start, end)
+        advance(chain, gains, end)
         shifted = a @ shifted + b[:, 0] * start
-        assert np.allclose(chain, shifted + d[:, 0] * end, rtol=0.0, atol=1e-11)
+        assert np.allclose(chain[1:], shifted + d[:, 0] * end, rtol=0.0, atol=1e-11)
 
 
 SYSTEMS = stable_systems((1, 5), direct=True)

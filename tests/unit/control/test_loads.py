@@ -169,14 +169,13 @@ def test_the_filters_see_the_input_of_a_dead_time_ago(stride: int) -> None:
     ticks = 84
     late = new_filter_bank(replace(LAGGING, delay_s=ticks * TICK_s), TICK_s, 80.0, 5.0, 300.0)
     prompt = new_filter_bank(replace(LAGGING, delay_s=0.0), TICK_s, 80.0, 5.0, 300.0)
-    rest = prompt.load_input
+    rest = prompt.inputs[0]
     inputs = rest + np.random.default_rng(3).normal(size=400)
     for n in range(400):
         filter_sample(late, 5.0, float(inputs[n]), stride)
         early = n - ticks // stride
         filter_sample(prompt, 5.0, float(inputs[early]) if early >= 0 else rest, stride)
     assert late.inputs == pytest.approx(prompt.inputs, rel=1e-12)
-    assert late.load_input == pytest.approx(prompt.load_input, rel=1e-12)
 
 
 @given(st.floats(0.0, 500.0), st.floats(1e-4, 10.0), st.sampled_from([1, 2]))

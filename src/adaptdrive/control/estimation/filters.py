@@ -49,71 +49,45 @@ import sys
 from dataclasses import dataclass
 
 from adaptdrive.control.thresholds import MEMORY, NOISE_FLOOR, PRIOR_SAMPLES
-from adaptdrive.control.vectors import Vector
+from adaptdrive.control.vectors import Vector, total
 
 # The λ filters: a chain of first-order low-pass filters, run at the fast rate.
+
+Gains = tuple[Vector, Vector, Vector]
+"""φ, P and R of a chain."""
 
 _SERIES_TERMS = 40
 """Terms of the series in h: up to h = 5 the last are below the rounding of a double."""
 
 
-def chain_decay(order: int, tick_period_s: float, tau_s: float) -> Vector:
-    """φ_0 ... φ_(order-1): what is left of each filter's state after one tick."""
+def chain_gains(order: int, tick_period_s: float, tau_s: float) -> Gains:
+    """φ_0 ... φ_(order-1), P_1 ... P_order and R_1 ... R_order of a tick length."""
     h = tick_period_s / tau_s
-    decay = [0.0] * order
-    term = math.exp(-h)
-    for j in range(order):
-        decay[j] = term
-        term *= h / (j + 1)
-    return decay
+    terms = [math.exp(-h)]
+    for j in range(1, order + _SERIES_TERMS):
+        terms.append(terms[-1] * (h / j))
+    held = [total(terms[i:]) for i in range(1, order + 2)]
+    ramp = [held[i] - (i + 1) / h * held[i + 1] for i in range(order)]
+    return terms[:order], held[:order], ramp
 
 
-def step_gains(order: int, tick_period_s: float, tau_s: float) -> Vector:
-    """P_1 ... P_order: response to an input that is held over the tick."""
-    h = tick_period_s / tau_s
-    return [_held_response(i + 1, h) for i in range(order)]
-
-
-def ramp_gains(order: int, tick_period_s: float, tau_s: float) -> Vector:
-    """R_1 ... R_order: response to an input that rises linearly from 0 to 1 over the tick."""
-    h = tick_period_s / tau_s
-    gains = [0.0] * order
-    for i in range(order):
-        stage = i + 1
-        gains[i] = _held_response(stage, h) - stage / h * _held_response(stage + 1, h)
-    return gains
-
-
-def _held_response(stage: int, h: float) -> float:
-    term = math.exp(-h)
-    for j in range(1, stage + 1):
-        term *= h / j
-    result = 0.0
-    for j in range(stage + 1, stage + _SERIES_TERMS):
-        result += term
-        term *= h / j
-    return result
-
-
-def advance(
-    chain: Vector, decay: Vector, held: Vector, ramp: Vector, start: float, end: float
-) -> None:
-    """Move a chain over one tick whose input goes linearly from `start` to `end`.
+def advance(chain: Vector, gains: Gains, end: float) -> None:
+    """Move a chain over one tick in which its input goes linearly to a new value.
 
     Args:
-        chain: λw, λ²w, ..., overwritten.
-        decay: From `chain_decay`.
-        held: From `step_gains`.
-        ramp: From `ramp_gains`.
-        start: Input at the beginning of the tick.
-        end: Input at the end of the tick; equal to `start` for a held input.
+        chain: w, λw, λ²w, ..., overwritten.
+        gains: From `chain_gains`.
+        end: Input at the end of the tick; that of its beginning for a held input.
     """
+    decay, held, ramp = gains
+    start = chain[0]
     rise = end - start
-    for i in range(len(chain) - 1, -1, -1):
+    for i in range(len(held) - 1, -1, -1):
         value = held[i] * start + ramp[i] * rise
         for j in range(i + 1):
-            value += decay[j] * chain[i - j]
-        chain[i] = value
+            value += decay[j] * chain[i + 1 - j]
+        chain[i + 1] = value
+    chain[0] = end
 
 
 # The outlier filter in front of the filters: spikes are clipped, honest changes pass.
@@ -187,10 +161,9 @@ def _limit(outlier_filter: OutlierFilter, error: float, clip: float) -> float:
     if abs(error) <= limit:
         outlier_filter.beyond = 0
         return limit
-    if error > 0.0:
-        outlier_filter.beyond = max(outlier_filter.beyond, 0) + 1
-    else:
-        outlier_filter.beyond = min(outlier_filter.beyond, 0) - 1
+    side = 1 if error > 0.0 else -1
+    same = outlier_filter.beyond * side > 0
+    outlier_filter.beyond = outlier_filter.beyond + side if same else side
     if abs(outlier_filter.beyond) < LASTING:
         return limit
     outlier_filter.beyond = 0
