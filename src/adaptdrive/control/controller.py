@@ -13,14 +13,7 @@ from typing import Final
 from adaptdrive.control import fast, signals, slow, voltage_loop
 from adaptdrive.control.design.reference import AHEAD
 from adaptdrive.control.estimation import estimator, filters, methods, regression
-from adaptdrive.control.loads.battery import (
-    highest_boost_voltage,
-    is_complete,
-    is_disconnected,
-    is_too_long,
-    proven_current,
-    voltage_limit,
-)
+from adaptdrive.control.loads import battery
 from adaptdrive.control.loads.load import Charging, Load, to_input, to_voltage
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Measurement, Order, Snapshot
@@ -39,10 +32,18 @@ _CYCLING = "limit cycle: the fixed controller drives V_c from limit to limit"
 _OFF: Final[signals.Stage] = signals.Stage.OFF
 _RUN: Final[signals.Stage] = signals.Stage.RUN
 _MANUAL: Final[signals.Mode] = signals.Mode.MANUAL
+_ADAPTIVE: Final[signals.Mode] = signals.Mode.ADAPTIVE
 
 
 class Controller:
-    """Both halves of the controller of one drive and one load."""
+    """Both halves of the controller of one drive and one load.
+
+    Attributes:
+        settings: Designs, rates and rules.
+        load: The load and its nominal model.
+        trusted: Physical parameters from which the next run starts; None before there are any.
+        state: State of the slow half.
+    """
 
     def __init__(
         self,
@@ -57,15 +58,12 @@ class Controller:
             settings: Designs, rates and rules.
             load: The load and its nominal model.
             prior: Physical parameters that an earlier run had trusted, in the order of
-                `Load.names`: each run starts from them, or from those that a run before it had
-                trusted. A method whose θ is not physical ignores them.
+                `Load.names`: each run starts from them, or from those that took effect last. A
+                method whose θ is not physical ignores them.
             resolution: Step of the output that an earlier run has found in its samples, 0 for none.
         """
-        self._prior = prior if methods.METHODS[settings.learning.method].physical else None
-        self.settings = settings if self._prior is None else _recalling(settings)
-        self._trusted: tuple[float, ...] | None = None
-        self._proposed: dict[int, tuple[float, ...]] = {}
-        self._learnt: tuple[float, ...] | None = None
+        self.trusted = prior if methods.METHODS[settings.learning.method].physical else None
+        self.settings = settings
         self.load = load
         self._stage = signals.Stage.OFF
         self._fast = fast.FastState(tick=0, boost_reference_V=0.0, error_sum=0.0)
@@ -106,15 +104,16 @@ class Controller:
         state, settings, charging = self.state, self.settings, self.load.charging
         load_input = slow.slow_step(settings, self.load, state, self._sample(snapshot))
         voltage = to_voltage(load_input, self.load.input_gain, self.load.input_exponent)
-        if state.accepted and state.watch.fallback == monitor.Fallback.NONE:
-            self._trusted = self._proposed[snapshot.k] = tuple(state.values)
+        trusted = state.accepted and state.watch.fallback == monitor.Fallback.NONE
+        kept = trusted and settings.exact and state.estimator.method.physical
         self._note_reach()
+        law = _ADAPTIVE if state.adaptive else signals.Mode.FIXED
         taps = len(state.inputs)
         gains = state.adaptive_gains if state.adaptive else state.fixed_gains
         return signals.Decision(
             k=snapshot.k,
             boost_reference_V=voltage,
-            controller=_in_force(snapshot.order.mode, adaptive=state.adaptive),
+            controller=_MANUAL if snapshot.order.mode is _MANUAL else law,
             accepted=state.accepted,
             reason=reason(
                 state, settings.supervision, settings.probing, self.load, snapshot.order.mode
@@ -126,11 +125,12 @@ class Controller:
             handover_step_V=state.handover_step,
             pole=snapshot.order.pole,
             fault=_fault(state, charging),
-            complete=charging is not None and is_complete(charging, state.charge),
+            complete=charging is not None and battery.is_complete(charging, state.charge),
             reach_low=self._reach.low,
             reach_high=self._reach.high,
             probe=state.probe.shift if state.probe.age_periods > 0 else math.nan,
             response_spread=state.spread if state.accepted else math.nan,
+            trusted=tuple(state.values) if kept else None,
         )
 
     def _note_reach(self) -> None:
@@ -145,11 +145,6 @@ class Controller:
             self._reach = setpoints.nominal_reach(load, settings.stage)
 
     @property
-    def trusted(self) -> tuple[float, ...] | None:
-        """The physical parameters that were trusted last; None before there are any."""
-        return self._trusted
-
-    @property
     def resolution(self) -> float:
         """The step of the output that was found in its samples; 0 while none is known."""
         return filters.step_found(self._bank.quantiser, self.settings.learning.output_scale)
@@ -157,89 +152,73 @@ class Controller:
     def apply(self, decision: signals.Decision) -> None:
         """Let a decision take effect from the next tick on.
 
-        V_c stays where the operator has set it since: the decision is older.
+        V_c stays where the operator has set it since: the decision is older. The next run starts
+        from estimates that took effect: a record shows these, so that a replay keeps the same.
         """
-        if self._stage is signals.Stage.RUN:
-            if decision.controller is not signals.Mode.MANUAL and not self._fast.by_hand:
-                self._fast.boost_reference_V = decision.boost_reference_V
-            self._learn(decision.k)
-
-    def _learn(self, k: int) -> None:
-        """Keep the estimates of a decision for the next run.
-
-        Only those that took effect count: a record shows these, so that a replay keeps the same.
-        """
-        self._learnt = self._proposed.get(k, self._learnt)
-        self._proposed = {later: kept for later, kept in self._proposed.items() if later > k}
-
-    def _recall(self) -> None:
-        """Begin a run with what the one before had trusted."""
-        self._proposed = {}
-        settings = self.settings
-        if self._learnt is not None and settings.exact and self.state.estimator.method.physical:
-            self._prior = self._learnt
-            self.settings = _recalling(settings)
+        if self._stage is not _RUN:
+            return
+        if decision.controller is not _MANUAL and not self._fast.by_hand:
+            self._fast.boost_reference_V = decision.boost_reference_V
+        if decision.trusted is not None:
+            self.trusted = decision.trusted
 
     def _enter(self, stage: signals.Stage, measurement: Measurement) -> None:
         """Start a stage from what is measured now, so that it begins without a bump."""
-        fed = (
-            self._stage is not signals.Stage.PRECHARGE
-        )  # until now the load had little input or none
-        self._stage = stage
-        self._snapshot = None
-        limits = self.settings.stage
-        output, voltage = measurement.output, measurement.boost_voltage_V
-        unfed = stage is signals.Stage.RUN and not fed
-        held = self._held_voltage(output, voltage) if unfed else voltage
-        reference = min(max(held, limits.boost_reference_min_V), limits.boost_reference_max_V)
+        limits, begun = self.settings.stage, stage is _RUN
+        held_V = rest_V = measurement.boost_voltage_V
+        if begun and self._stage is signals.Stage.PRECHARGE:
+            held_V, rest_V = self._unfed(measurement.output, held_V)
+        reference_V = min(max(held_V, limits.boost_reference_min_V), limits.boost_reference_max_V)
         if stage is signals.Stage.PRECHARGE:
-            reference = max(limits.boost_reference_min_V, 0.0)
+            reference_V = max(limits.boost_reference_min_V, 0.0)
+        self._stage, self._snapshot = stage, None
         self._fast = fast.FastState(
             tick=measurement.tick,
-            boost_reference_V=reference,
-            error_sum=voltage_loop.initial_sum(held),
+            boost_reference_V=reference_V,
+            error_sum=voltage_loop.initial_sum(held_V),
         )
-        if stage is signals.Stage.RUN:
-            self._recall()
-            at_rest = voltage if fed else self._resting_voltage(output, voltage)
-            quantiser = self._bank.quantiser  # the sensor is the same in every run
-            self._bank = self._new_bank(measurement.tick_period_s, output, at_rest)
-            self._bank.quantiser = quantiser
-            first = held if self.load.charging is None else voltage
-            self.state = new_slow_state(self.settings, self.load, output, first)
-            # v_bst may hold the load at another output than this: the other lag of the response
-            # watch begins there, so that a load which rests where it is need not move
-            self.state.watch.slow = self.load.gain * to_input(
-                voltage, self.load.input_gain, self.load.input_exponent
-            )
-            self._reach = setpoints.nominal_reach(self.load, limits)
-            if self._prior is not None:
-                learning, values = self.settings.learning, list(self._prior)
-                estimator.start_from(self.state.estimator, learning, self.load, values)
-                self.state.recalled = True
+        if begun:
+            self._begin_run(measurement, held_V, rest_V)
 
-    def _held_voltage(self, output: float, voltage: float) -> float:
-        """The voltage from which V_c begins: the measured one, at most what the load rests at.
+    def _begin_run(self, measurement: Measurement, held_V: float, rest_V: float) -> None:
+        """Forget the run before, but not what it has learnt of sensor and load.
 
-        The capacitor may still be full from the run before: holding it would move a load, and
-        charge a battery at any current.
+        Args:
+            measurement: Of this tick.
+            held_V: The voltage from which V_c begins.
+            rest_V: What the λ filters are to remember.
         """
-        floor_V = self.settings.stage.boost_reference_min_V
-        if self.load.charging is not None:
-            return floor_V
-        return min(voltage, max(self._resting_voltage(output, voltage), floor_V))
+        load, output, quantiser = self.load, measurement.output, self._bank.quantiser
+        self._bank = self._new_bank(measurement.tick_period_s, output, rest_V)
+        self._bank.quantiser = quantiser
+        if self.trusted is not None:
+            self.settings = _recalling(self.settings)
+        first_V = held_V if load.charging is None else rest_V
+        self.state = state = new_slow_state(self.settings, load, output, first_V)
+        # v_bst may hold the load at another output than this: the other lag of the response
+        # watch begins there, so that a load which rests where it is need not move
+        state.watch.slow = load.gain * self._to_input(measurement.boost_voltage_V)
+        self._reach = setpoints.nominal_reach(load, self.settings.stage)
+        if self.trusted is not None:
+            learning = self.settings.learning
+            estimator.start_from(state.estimator, learning, load, list(self.trusted))
+            state.recalled = True
 
-    def _resting_voltage(self, output: float, voltage: float) -> float:
-        """The voltage at which the load would rest at this output: 0 for one at a standstill.
+    def _unfed(self, output: float, voltage_V: float) -> tuple[float, float]:
+        """Return where V_c and the memory of the λ filters begin, with a load that was not fed.
 
-        The λ filters of a load that has not been fed must not remember the voltage that was kept
-        from it. A battery rests at its own EMF, whatever that is; there the measured one is kept.
+        V_c begins at the measured voltage, at most at the one at which the load would rest at
+        this output. The capacitor may still be full from the run before: holding it would move a
+        load, and charge a battery at any current. The λ filters must not remember the voltage
+        that was kept from the load. A battery rests at its own EMF, whatever that is; there the
+        measured one is kept.
         """
-        load = self.load
+        load, floor_V = self.load, self.settings.stage.boost_reference_min_V
         if load.charging is not None:
-            return voltage
+            return floor_V, voltage_V
         load_input = output * load.denominator[-1] / load.numerator[-1]
-        return max(0.0, to_voltage(load_input, load.input_gain, load.input_exponent))
+        rest_V = max(0.0, to_voltage(load_input, load.input_gain, load.input_exponent))
+        return min(voltage_V, max(rest_V, floor_V)), rest_V
 
     def _new_bank(self, tick_period_s: float, output: float, voltage: float) -> fast.FilterBank:
         tau = self.settings.learning.tau_lambda_s
@@ -289,11 +268,11 @@ class Controller:
 
     def _set_by_hand(self, measurement: Measurement, order: Order) -> None:
         """Set V_c to the operator's value; a battery's terminals stay at their limit."""
-        highest_V = self._bearable(measurement, highest_boost_voltage)
+        highest_V = self._bearable(measurement, battery.highest_boost_voltage)
         fast.set_by_hand(self._fast, self.settings.stage, order.manual_V, highest_V)
 
     def _drive(self, measurement: Measurement, bridge: bool) -> signals.Command:
-        highest_V = self._bearable(measurement, voltage_limit)
+        highest_V = self._bearable(measurement, battery.voltage_limit)
         scale, reference = fast.drive(self._fast, self.settings.stage, measurement, highest_V)
         return signals.Command(scale, reference, bridge)
 
@@ -305,33 +284,36 @@ class Controller:
         if charging is None:
             return math.inf
         power_W = measurement.load_power_W
-        return limit(charging, proven_current(charging, measurement.output, voltage_V, power_W))
+        return limit(
+            charging, battery.proven_current(charging, measurement.output, voltage_V, power_W)
+        )
 
     def _sample(self, snapshot: Snapshot) -> regression.SlowSample:
-        load, stage = self.load, self.settings.stage
-        gain, exponent = load.input_gain, load.input_exponent
-        applied = to_input(snapshot.applied_V, gain, exponent)
+        stage = self.settings.stage
         return regression.SlowSample(
             period_s=snapshot.period_s,
             output=snapshot.output,
             output_filtered=list(snapshot.output_filtered),
             input_filtered=list(snapshot.input_filtered),
-            applied=applied,
+            applied=self._to_input(snapshot.applied_V),
             followed=snapshot.followed,
             held_share=snapshot.held_ticks / self.settings.rates.ticks_per_period,
             reference=snapshot.order.reference,
-            adaptive=snapshot.order.mode is signals.Mode.ADAPTIVE,
+            adaptive=snapshot.order.mode is _ADAPTIVE,
             pole=snapshot.order.pole,
-            low=to_input(stage.boost_reference_min_V, gain, exponent),
-            high=to_input(stage.boost_reference_max_V, gain, exponent),
-            manual=snapshot.order.mode is signals.Mode.MANUAL,
-            held=to_input(snapshot.held_V, gain, exponent),
+            low=self._to_input(stage.boost_reference_min_V),
+            high=self._to_input(stage.boost_reference_max_V),
+            manual=snapshot.order.mode is _MANUAL,
+            held=self._to_input(snapshot.held_V),
             steady=snapshot.order.steady,
             lowest=self._reach.low,
             highest=self._reach.high,
             rounding=snapshot.rounding,
             upcoming=list(snapshot.upcoming),
         )
+
+    def _to_input(self, voltage_V: float) -> float:
+        return to_input(voltage_V, self.load.input_gain, self.load.input_exponent)
 
     def _estimates(self) -> dict[str, signals.Estimate]:
         state, load, learning = self.state, self.load, self.settings.learning
@@ -350,13 +332,6 @@ class Controller:
         return estimates
 
 
-def _in_force(mode: signals.Mode, *, adaptive: bool) -> signals.Mode:
-    """Return the source of V_c: the operator, or the law in force."""
-    if mode is signals.Mode.MANUAL:
-        return mode
-    return signals.Mode.ADAPTIVE if adaptive else signals.Mode.FIXED
-
-
 def _recalling(settings: ControllerSettings) -> ControllerSettings:
     """With a prior no warm-up is needed: its gains act at once."""
     periods = min(settings.learning.settle_periods, settings.supervision.warm_up_periods)
@@ -367,8 +342,8 @@ def _fault(state: SlowState, charging: Charging | None) -> str:
     """Return why the drive must be tripped, empty for no reason."""
     if state.unresponsive:
         return _UNRESPONSIVE
-    if charging is not None and is_disconnected(charging, state.charge):
+    if charging is not None and battery.is_disconnected(charging, state.charge):
         return _DISCONNECTED
-    if charging is not None and is_too_long(charging, state.charge):
+    if charging is not None and battery.is_too_long(charging, state.charge):
         return _TOO_LONG.format(charging.longest_s / 3600.0)
     return _CYCLING if state.cycling else ""

@@ -212,7 +212,10 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """Result of the slow half for snapshot k."""
+    """Result of the slow half for snapshot k.
+
+    `trusted` holds the physical parameters from which a later run may start, None for none.
+    """
 
     k: int
     boost_reference_V: Annotated[float, Quantity("v", "V_c decided now, after limits")]
@@ -272,3 +275,4 @@ class Decision:
             "as a share of the step",
         ),
     ] = math.nan
+    trusted: tuple[float, ...] | None = None
