@@ -33,7 +33,7 @@ Place = tuple[str, int]
 
 PLACES: list[Place] = [(name, seed) for name, seeds in SEEDS.items() for seed in seeds]
 
-TO_ONE = {"_NEAR_LIMIT", "_CEILING_RISE", "CLOSER"}
+TO_ONE = {"_NEAR_LIMIT", "CLOSER"}
 """Constants near 1, of which the distance from 1 is halved and doubled."""
 
 

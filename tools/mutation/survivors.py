@@ -125,9 +125,6 @@ CONTROL: dict[str, str] = {
     "* math.log(mean / weight)) -> "
     "return -0.5 * (branch.logs + weight * math.log(mean * weight))": "each branch gets the same "
     "in addition, and only their differences count",
-    "control.fast:limit_power: if state.ceiling_V < stage.boost_reference_max_V: -> "
-    "if state.ceiling_V <= stage.boost_reference_max_V:": "a ceiling above the highest V_c "
-    "lowers none",
     "control.estimation.rls:given: gain, known, weights = ([0.0] * size, "
     "list(upper), list(diagonal)) "
     "-> gain, known, weights = ([1.0] * size, list(upper), list(diagonal))": _OVERWRITTEN,

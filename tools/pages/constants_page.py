@@ -50,7 +50,6 @@ _UNITS = {
     "_WALK": "σ",
     "_EMF_NOISE": "σ",
     "_EMF_BEND": "σ",
-    "_LOWEST_CEILING": "1",
     "_CEILING_RISE": "1/reading",
     "_LIMITED_SHARE": "1",
     "DISTURBANCE_SHARE": "scale of the input",

@@ -15,11 +15,9 @@ from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import ControllerSettings, PowerStage
 from adaptdrive.control.vectors import Vector
 
-_CEILING_RISE = 1.002
-"""Rise of the ceiling of V_c for each reading: slow, so that the power limit does not oscillate."""
-
-_LOWEST_CEILING = 0.01
-"""Lowest ceiling of V_c, as a share of the largest V_c: from 0 it would not rise again."""
+_CEILING_RISE = 0.001
+"""Rise of the ceiling of V_c for each reading, as a share of the largest V_c: slow, so that the
+power limit does not oscillate."""
 
 _LEAST_DEVIATION = math.sqrt(thresholds.NOISE_FLOOR)
 """Least deviation of the output in the outlier filter, as a share of its scale."""
@@ -209,9 +207,7 @@ def drive(
         highest_V: V_c that the load bears at present.
     """
     voltage_V, power_W = measurement.boost_voltage_V, measurement.load_power_W
-    reference_V = limit_power(state, stage, voltage_V, power_W)
-    hold_below(state, stage, highest_V)  # after the ceiling has risen, or V_c would pass it
-    reference_V = min(reference_V, state.ceiling_V)
+    reference_V = hold_back(state, stage, voltage_V, power_W, highest_V)
     if stage.kick_ticks > 0:
         reference_V = kick(state, stage, reference_V, measurement.tick)
     if stage.holds_voltage:
@@ -254,31 +250,30 @@ def set_by_hand(
     state.by_hand = True
 
 
-def hold_below(state: FastState, stage: PowerStage, highest_V: float) -> None:
-    """Lower the ceiling of V_c to what the load bears at present; it rises slowly again.
-
-    Args:
-        state: Overwritten.
-        stage: Limits.
-        highest_V: Largest V_c.
-    """
-    state.ceiling_V = min(state.ceiling_V, max(highest_V, stage.boost_reference_min_V))
-
-
-def limit_power(
-    state: FastState, stage: PowerStage, boost_voltage_V: float, load_power_W: float
+def hold_back(
+    state: FastState,
+    stage: PowerStage,
+    boost_voltage_V: float,
+    load_power_W: float,
+    highest_V: float = math.inf,
 ) -> float:
-    """V_c in force: held back while the load draws more than the drive may give.
+    """V_c in force: held back by what the load bears, and while it draws more than the drive gives.
 
     At constant speed or temperature the power goes with the square of the voltage, so that the
     square root of the excess is a voltage that ends it; the ceiling then rises slowly again.
+
+    Args:
+        state: Its ceiling is overwritten.
+        stage: Limits.
+        boost_voltage_V: v_bst.
+        load_power_W: What the load draws.
+        highest_V: V_c that the load bears at present.
     """
     excess = load_power_W / stage.load_power_max_W
+    ceiling_V = state.ceiling_V + _CEILING_RISE * stage.boost_reference_max_V
     if excess > 1.0:
-        lowest_V = max(stage.boost_reference_min_V, _LOWEST_CEILING * stage.boost_reference_max_V)
-        state.ceiling_V = max(lowest_V, abs(boost_voltage_V) / math.sqrt(excess))
-    elif state.ceiling_V < stage.boost_reference_max_V:
-        state.ceiling_V *= _CEILING_RISE
+        ceiling_V = abs(boost_voltage_V) / math.sqrt(excess)
+    state.ceiling_V = max(min(ceiling_V, highest_V), stage.boost_reference_min_V)
     return min(state.boost_reference_V, state.ceiling_V)
 
 

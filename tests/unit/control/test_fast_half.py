@@ -158,22 +158,21 @@ def test_at_a_limit_the_sum_of_errors_goes_away_from_it_only(
 @pytest.mark.parametrize(("highest_V", "ceiling_V"), [(250.0, 250.0), (150.0, 200.0)])
 def test_a_load_holds_V_c_below_what_it_bears(highest_V: float, ceiling_V: float) -> None:
     books = state()
-    fast.hold_below(books, STAGE, highest_V)
-    assert books.ceiling_V == ceiling_V
-    fast.hold_below(books, STAGE, highest_V + 60.0)
-    assert books.ceiling_V == ceiling_V
+    assert fast.hold_back(books, STAGE, 300.0, 500.0, highest_V) == ceiling_V
+    risen_V = fast.hold_back(books, STAGE, 300.0, 500.0, highest_V + 60.0)
+    assert ceiling_V < risen_V < ceiling_V + 1.0
 
 
 def test_too_much_power_holds_the_voltage_back_and_lets_it_rise_slowly() -> None:
     books = state(boost_reference_V=400.0)
-    held = fast.limit_power(books, STAGE, 390.0, 1.21 * STAGE.load_power_max_W)
+    held = fast.hold_back(books, STAGE, 390.0, 1.21 * STAGE.load_power_max_W)
     assert held == pytest.approx(390.0 / 1.1)
-    following = [fast.limit_power(books, STAGE, 350.0, 1000.0) for _ in range(200)]
+    following = [fast.hold_back(books, STAGE, 350.0, 1000.0) for _ in range(200)]
     assert 0.0 < following[0] - held < 1.0
     assert following == sorted(following)
     assert following[-1] == 400.0
     at_just_its_power = state(boost_reference_V=400.0, ceiling_V=300.0)
-    assert fast.limit_power(at_just_its_power, STAGE, 310.0, STAGE.load_power_max_W) > 300.0
+    assert fast.hold_back(at_just_its_power, STAGE, 310.0, STAGE.load_power_max_W) > 300.0
 
 
 @pytest.mark.parametrize(("limited", "followed"), [(0, True), (30, True), (31, False)])
