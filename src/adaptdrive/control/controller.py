@@ -147,7 +147,7 @@ class Controller:
     @property
     def resolution(self) -> float:
         """The step of the output that was found in its samples; 0 while none is known."""
-        return filters.step_found(self._bank.quantiser, self.settings.learning.output_scale)
+        return self._bank.quantiser.step
 
     def apply(self, decision: signals.Decision) -> None:
         """Let a decision take effect from the next tick on.

@@ -22,9 +22,6 @@ power limit does not oscillate."""
 _LEAST_DEVIATION = math.sqrt(thresholds.NOISE_FLOOR)
 """Least deviation of the output in the outlier filter, as a share of its scale."""
 
-_LIMITED_SHARE = 0.25
-"""Share of a slow period with k or V_c at a limit above which V_c counts as not followed."""
-
 
 @dataclass(slots=True)
 class FilterBank:
@@ -182,13 +179,12 @@ def take_rounding(settings: ControllerSettings, bank: FilterBank) -> tuple[float
         settings: A resolution that is configured counts instead of what the samples show.
         bank: Overwritten: its count of changes begins again.
     """
-    learning, quantiser = settings.learning, bank.quantiser
+    quantiser = bank.quantiser
     filters.close_share(quantiser, settings.rates.ticks_per_period)
     if not settings.exact:
         return 0.0, 0.0
-    step = learning.resolution
-    if not step > 0.0:  # or no number
-        step = filters.step_found(quantiser, learning.output_scale)
+    given = settings.learning.resolution
+    step = given if given > 0.0 else quantiser.step
     return step, filters.rounding_error(step, quantiser.share)
 
 
@@ -325,7 +321,7 @@ def count_tick(state: FastState, boost_voltage_V: float, fresh: bool, ticks: int
 def close_period(state: FastState, settings: ControllerSettings) -> tuple[float, bool, int]:
     """Books of the elapsed slow period: mean voltage, whether it followed V_c, held ticks."""
     applied_V = state.voltage_sum / state.readings if state.readings else math.nan
-    followed = state.limited_ticks <= _LIMITED_SHARE * settings.rates.ticks_per_period
+    followed = state.limited_ticks <= thresholds.LOST_SHARE * settings.rates.ticks_per_period
     held = state.held_ticks
     state.voltage_sum = 0.0
     state.readings = state.limited_ticks = state.held_ticks = 0

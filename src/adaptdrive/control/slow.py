@@ -76,9 +76,6 @@ _RETUNE = math.sqrt(thresholds.NOISE_FLOOR)
 """Relative drift of the slow period from which the fixed gains are made again: less moves the
 output by less than the least noise."""
 
-_HELD_SHARE = 0.1
-"""Share of stand-in ticks above which a slow sample teaches nothing."""
-
 
 def slow_step(
     settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
@@ -196,7 +193,7 @@ def _take_sample(
         estimator, learning, load, sample, (state.outputs, state.inputs)
     )
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
-    usable = moved and sample.held_share <= _HELD_SHARE
+    usable = moved and sample.held_share <= thresholds.LOST_SHARE
     update_estimate(estimator, learning, load, sample.output, usable)
     if estimator.method.physical:
         learnt = estimator.sample

@@ -41,3 +41,7 @@ two deviations of what is known before samples are all of it."""
 
 PRIOR_SAMPLES = 4.0
 """Weight of σ0²: as little as leaves the likelihood finite variance."""
+
+LOST_SHARE = 0.1
+"""Share of the ticks of a slow period above which stand-ins make a sample that teaches nothing, and
+k or V_c at a limit one whose V_c was not followed."""

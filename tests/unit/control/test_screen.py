@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.control.estimation.filters import LASTING, WIDE, OutlierFilter, reject_outlier
+from adaptdrive.control.estimation.filters import WIDE, OutlierFilter, reject_outlier
+from adaptdrive.control.thresholds import FEWEST
 from tests.unit.control.systems import Array
 
 CLIP = 4.0
@@ -122,6 +123,6 @@ def test_a_change_after_a_standstill_passes_in_five(
     for sample in still(kind, level):
         reject_outlier(outlier_filter, sample, CLIP, ticks)
     passed = [
-        reject_outlier(outlier_filter, level + change, CLIP, ticks) for _ in range(3 * LASTING)
+        reject_outlier(outlier_filter, level + change, CLIP, ticks) for _ in range(3 * FEWEST)
     ]
-    assert passed[LASTING - 1 :] == pytest.approx([level + change] * (2 * LASTING + 1), abs=STEP)
+    assert passed[FEWEST - 1 :] == pytest.approx([level + change] * (2 * FEWEST + 1), abs=STEP)

@@ -20,9 +20,9 @@ absolute deviation s of the samples from their prediction:
     ŷ <- ŷ + v + α e_c       v <- v + β e_c       s <- s + γ n (min(|e|, 2 c s) - s)
 
 The sample passed on is ŷ + v + e_c; n is the number of ticks since the last one. A spike counts
-as c deviations and no more. A change lasts: the fifth sample in a row beyond the same limit opens
-the outlier filter to its own deviation, however narrow it had become at a standstill. For
-Gaussian noise s is 0.8 σ.
+as c deviations and no more. A change lasts: the fifth sample in a row (`FEWEST`) beyond the same
+limit opens the outlier filter to its own deviation, however narrow it had become at a standstill.
+For Gaussian noise s is 0.8 σ.
 (Huber, Ann. Math. Statist. 35, 1964, doi:10.1214/aoms/1177703732.)
 
 The differences of the samples of a rounded output are whole multiples of one step q. Each
@@ -48,7 +48,7 @@ import math
 import sys
 from dataclasses import dataclass
 
-from adaptdrive.control.thresholds import MEMORY, NOISE_FLOOR, PRIOR_SAMPLES
+from adaptdrive.control.thresholds import EARLIEST, FEWEST, MEMORY, NOISE_FLOOR, PRIOR_SAMPLES
 from adaptdrive.control.vectors import Vector, total
 
 # The λ filters: a chain of first-order low-pass filters, run at the fast rate.
@@ -92,24 +92,21 @@ def advance(chain: Vector, gains: Gains, end: float) -> None:
 
 # The outlier filter in front of the filters: spikes are clipped, honest changes pass.
 
-ALPHA = 0.1
-"""Gain on the level: it follows a change within about 10 samples."""
+ALPHA = 1.0 / EARLIEST
+"""Gain on the level: it follows a change within so many samples."""
 
 BETA = ALPHA * ALPHA / (2.0 - ALPHA)
 """Gain on the slope: the tracker is damped by 0.71 then (T. R. Benedict and G. W. Bordner, IRE
 Transactions on Automatic Control 7, 1962)."""
 
-GAMMA = 0.02
-"""Rate of the mean deviation: a mean over about 50 ticks."""
+GAMMA = 1.0 / MEMORY
+"""Rate of the mean deviation: a mean over so many ticks."""
 
 _GAMMA_MAX = 1.0 / PRIOR_SAMPLES
 """Largest share of one sample in the mean deviation: fewer samples are no mean."""
 
 WIDE = 0.01
 """Deviation to start with, as a share of the output: wide enough for an honest first second."""
-
-LASTING = 5
-"""Samples in a row beyond one limit that are a change, not spikes."""
 
 
 @dataclass(slots=True)
@@ -164,7 +161,7 @@ def _limit(outlier_filter: OutlierFilter, error: float, clip: float) -> float:
     side = 1 if error > 0.0 else -1
     same = outlier_filter.beyond * side > 0
     outlier_filter.beyond = outlier_filter.beyond + side if same else side
-    if abs(outlier_filter.beyond) < LASTING:
+    if abs(outlier_filter.beyond) < FEWEST:
         return limit
     outlier_filter.beyond = 0
     outlier_filter.deviation = abs(error) / clip
@@ -175,9 +172,6 @@ def _limit(outlier_filter: OutlierFilter, error: float, clip: float) -> float:
 
 FINEST = math.sqrt(NOISE_FLOOR)
 """Smallest step that is looked for: the rounding error of smaller ones is far below least noise."""
-
-COARSEST = 0.05
-"""Largest step that is believed: such a sensor shows twenty values up to the scale."""
 
 TOLERANCE = 0.02
 """Distance from a multiple, in steps: more than single precision leaves of the finest step."""
@@ -218,6 +212,11 @@ class Quantiser:
     share: float = 0.0
     periods: float = 0.0
 
+    @property
+    def step(self) -> float:
+        """The step of the sensor in the unit of the output, 0 while none is known."""
+        return self.candidate if self.score >= _FOUND else 0.0
+
 
 def known_quantiser(step: float) -> Quantiser:
     """Return a search that begins with the step that an earlier run has found, 0 for none."""
@@ -254,18 +253,6 @@ def note_sample(quantiser: Quantiser, sample: float, scale: float, ticks: int = 
     if quantiser.score < 0:
         remains = rest * quantiser.candidate
         quantiser.candidate, quantiser.score = (remains if remains >= finest else 0.0), 0
-
-
-def step_found(quantiser: Quantiser, scale: float) -> float:
-    """Return the step of the sensor in the unit of the output, 0 while none is known.
-
-    Args:
-        quantiser: What the samples showed.
-        scale: Output of order one.
-    """
-    if quantiser.score < _FOUND or quantiser.candidate > COARSEST * scale:
-        return 0.0
-    return quantiser.candidate
 
 
 def close_share(quantiser: Quantiser, ticks: int) -> None:
