@@ -88,11 +88,15 @@ class Controller:
         if order.stage is _OFF:
             return signals.SAFE_COMMAND
         if order.stage is _RUN:
-            if order.mode is _MANUAL:
-                self._set_by_hand(measurement, order)
-            self._run_filters(measurement, order)
+            if order.mode is _MANUAL:  # a battery's terminals stay at their limit
+                highest_V = self._bearable(measurement, battery.highest_boost_voltage)
+                fast.set_by_hand(self._fast, self.settings.stage, order.manual_V, highest_V)
+            if fast.take_in(self.settings, self.load, self._fast, self._bank, measurement):
+                self._snapshot = self._take(measurement, order)
+        highest_V = self._bearable(measurement, battery.voltage_limit)
+        scale_S, reference_V = fast.drive(self._fast, self.settings.stage, measurement, highest_V)
         bridge = order.stage is _RUN or self.settings.stage.boost_needs_bridge
-        return self._drive(measurement, bridge)
+        return signals.Command(scale_S, reference_V, bridge)
 
     def take_snapshot(self) -> Snapshot | None:
         """The snapshot made in the last tick, if any; only once."""
@@ -224,13 +228,7 @@ class Controller:
         tau = self.settings.learning.tau_lambda_s
         return fast.new_filter_bank(self.load, tick_period_s, tau, output, voltage)
 
-    def _run_filters(self, measurement: Measurement, order: Order) -> None:
-        rates = self.settings.rates
-        if fast.take_in(self.settings, self.load, self._fast, self._bank, measurement):
-            k = measurement.tick // rates.ticks_per_period
-            self._snapshot = self._take(measurement, order, k)
-
-    def _take(self, measurement: Measurement, order: Order, k: int) -> Snapshot:
+    def _take(self, measurement: Measurement, order: Order) -> Snapshot:
         rates, order_m = self.settings.rates, self.load.order
         held_V = self._fast.boost_reference_V if self._fast.by_hand else math.nan
         means = fast.take_means(self._bank)
@@ -239,7 +237,7 @@ class Controller:
         tick_s, tau_s = measurement.tick_period_s, self.settings.learning.tau_lambda_s
         self._bank.gains = filters.chain_gains(order_m, tick_s, tau_s)
         return Snapshot(
-            k=k,
+            k=measurement.tick // rates.ticks_per_period,
             tick=measurement.tick,
             period_s=rates.ticks_per_period * measurement.tick_period_s,
             order=order,
@@ -265,16 +263,6 @@ class Controller:
             waveform.value((later - known.begin_tick) * rates.nominal_tick_s) for later in ticks
         ]
         return tuple(map(self._reach.nearest, asked) if self.settings.govern else asked)
-
-    def _set_by_hand(self, measurement: Measurement, order: Order) -> None:
-        """Set V_c to the operator's value; a battery's terminals stay at their limit."""
-        highest_V = self._bearable(measurement, battery.highest_boost_voltage)
-        fast.set_by_hand(self._fast, self.settings.stage, order.manual_V, highest_V)
-
-    def _drive(self, measurement: Measurement, bridge: bool) -> signals.Command:
-        highest_V = self._bearable(measurement, battery.voltage_limit)
-        scale, reference = fast.drive(self._fast, self.settings.stage, measurement, highest_V)
-        return signals.Command(scale, reference, bridge)
 
     def _bearable(
         self, measurement: Measurement, limit: Callable[[Charging, float], float]

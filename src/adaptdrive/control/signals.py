@@ -246,12 +246,7 @@ class Decision:
         ),
     ]
     pole: Annotated[
-        float,
-        Quantity(
-            "",
-            "closed-loop pole with which set-points are answered",
-            "pole_in_force",
-        ),
+        float, Quantity("", "closed-loop pole with which set-points are answered", "pole_in_force")
     ] = math.nan
     fault: Annotated[str, Quantity("", "why the drive must be tripped, empty for no reason")] = ""
     complete: Annotated[
