@@ -19,9 +19,6 @@ _CEILING_RISE = 0.001
 """Rise of the ceiling of V_c for each reading, as a share of the largest V_c: slow, so that the
 power limit does not oscillate."""
 
-_LEAST_DEVIATION = math.sqrt(thresholds.NOISE_FLOOR)
-"""Least deviation of the output in the outlier filter, as a share of its scale."""
-
 
 @dataclass(slots=True)
 class FilterBank:
@@ -134,7 +131,7 @@ def take_in(
         filters.note_sample(bank.quantiser, output, settings.learning.output_scale, counted)
         if rates.clip > 0.0:
             learning = settings.learning
-            least = max(_LEAST_DEVIATION * learning.output_scale, learning.resolution)
+            least = max(filters.FINEST * learning.output_scale, learning.resolution)
             output = filters.reject_outlier(bank.outlier_filter, output, rates.clip, elapsed, least)
         filter_sample(bank, output, load_input, counted)
     count_tick(state, measurement.boost_voltage_V, measurement.fresh, counted)

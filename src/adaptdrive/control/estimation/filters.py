@@ -171,7 +171,8 @@ def _limit(outlier_filter: OutlierFilter, error: float, clip: float) -> float:
 # The resolution of the sensor, found in its own samples, and the rounding error that it leaves.
 
 FINEST = math.sqrt(NOISE_FLOOR)
-"""Smallest step that is looked for: the rounding error of smaller ones is far below least noise."""
+"""Smallest step that is looked for, and least deviation in the outlier filter, as shares of the
+scale: the rounding error of smaller steps is far below least noise."""
 
 TOLERANCE = 0.02
 """Distance from a multiple, in steps: more than single precision leaves of the finest step."""
