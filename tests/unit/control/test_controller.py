@@ -133,6 +133,18 @@ def test_a_decision_takes_effect_at_the_next_tick_of_its_run() -> None:
     assert command.boost_reference_V == 200.0
 
 
+def test_the_next_run_starts_from_estimates_that_took_effect() -> None:
+    controller = Controller(EXACT, MOTOR)
+    found = snapshots(controller, range(1, 121))
+    decision = replace(controller.decide(found[0]), trusted=(0.011, 20.0, 110.0))
+    assert controller.trusted is None
+    controller.apply(decision)
+    assert controller.trusted == decision.trusted
+    for tick, stage in ((122, Stage.OFF), (123, Stage.PRECHARGE), (124, Stage.RUN)):
+        controller.tick(measurement(tick), order(stage=stage))
+        assert controller.state.recalled is (stage is Stage.RUN)
+
+
 def test_the_bridge_is_on_in_precharge_where_the_boost_needs_it() -> None:
     needing = replace(EXACT, stage=replace(STAGE, boost_needs_bridge=True))
     for settings_, expected in ((needing, True), (EXACT, False)):
