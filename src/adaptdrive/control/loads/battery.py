@@ -59,7 +59,6 @@ def battery_load(
         physical=physical,
         realise=realise,
         paper_model=paper_model,
-        paper_taps=2,
         charging=charging,
     )
 
