@@ -6,7 +6,6 @@ calls in the same order give the same commands bit for bit, live, simulated and 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
@@ -14,12 +13,12 @@ from adaptdrive.control import fast, signals, slow, voltage_loop
 from adaptdrive.control.design.reference import AHEAD
 from adaptdrive.control.estimation import estimator, filters, methods, regression
 from adaptdrive.control.loads.battery import (
-    highest_boost_voltage,
+    ABOVE,
+    boost_voltage,
     is_complete,
     is_disconnected,
     is_too_long,
     proven_current,
-    voltage_limit,
 )
 from adaptdrive.control.loads.load import Charging, Load, to_input, to_voltage
 from adaptdrive.control.settings import ControllerSettings
@@ -288,23 +287,22 @@ class Controller:
 
     def _set_by_hand(self, measurement: Measurement, order: Order) -> None:
         """Set V_c to the operator's value; a battery's terminals stay at their limit."""
-        highest_V = self._bearable(measurement, highest_boost_voltage)
+        highest_V = self._bearable(measurement, 1.0)
         fast.set_by_hand(self._fast, self.settings.stage, order.manual_V, highest_V)
 
     def _drive(self, measurement: Measurement, bridge: bool) -> signals.Command:
-        highest_V = self._bearable(measurement, voltage_limit)
+        highest_V = self._bearable(measurement, ABOVE)
         scale, reference = fast.drive(self._fast, self.settings.stage, measurement, highest_V)
         return signals.Command(scale, reference, bridge)
 
-    def _bearable(
-        self, measurement: Measurement, limit: Callable[[Charging, float], float]
-    ) -> float:
-        """Return the V_c that a battery bears; infinite for a load that bears any."""
+    def _bearable(self, measurement: Measurement, share: float) -> float:
+        """Return the V_c for a share of the voltage of a battery; infinite for other loads."""
         charging, voltage_V = self.load.charging, measurement.boost_voltage_V
         if charging is None:
             return math.inf
         power_W = measurement.load_power_W
-        return limit(charging, proven_current(charging, measurement.output, voltage_V, power_W))
+        current_A = proven_current(charging, measurement.output, voltage_V, power_W)
+        return boost_voltage(charging, share, current_A)
 
     def _sample(self, snapshot: Snapshot) -> regression.SlowSample:
         load, stage = self.load, self.settings.stage
