@@ -38,10 +38,10 @@ _TAYLOR_TERMS = 30
 """Terms of the exponential: 2^30/30! is below the rounding of a double."""
 
 _LONGEST_STEP = 2.0
-"""Norm of one Taylor step; a longer one loses digits by cancellation."""
+"""Reach of one Taylor step; a longer one loses digits by cancellation."""
 
 _LONGEST_REACH = 1.0e4
-"""Norm from which the model is given up as NaN: it would take 5,000 Taylor steps."""
+"""Reach from which the model is given up as NaN: it would take 5,000 Taylor steps."""
 
 _ROUNDING = 1.0e-9
 """Share of a period by which a delay may miss a slow instant that it is meant for."""
@@ -103,6 +103,7 @@ def _system(numerator: Vector, denominator: Vector, period_s: float) -> Vector:
 def propagated(system: Vector, states: Vector, periods: float) -> Vector:
     """Return exp(M t) z by a Taylor series over steps short enough for full precision.
 
+    Their reach is a bound of the poles, the sum of |a_i|^(1/i) (J. L. Walsh, 1924), and 1 for u.
     A system too fast for the duration by four orders of magnitude gives NaNs: as a load model it
     is absurd, and working it out could keep a control loop waiting.
 
@@ -111,7 +112,9 @@ def propagated(system: Vector, states: Vector, periods: float) -> Vector:
         states: z: x_1 ... x_m, u, ∫y, or several z, one behind the other.
         periods: t.
     """
-    reach = periods * (1.0 + vectors.total([abs(one) for one in system[: len(system) // 2]]))
+    order = len(system) // 2
+    bounds = [abs(system[i]) ** (1.0 / (order - i)) for i in range(order)]
+    reach = periods * (1.0 + vectors.total(bounds))
     if vectors.reaches(reach, _LONGEST_REACH):
         return [math.nan] * len(states)
     steps = max(1, math.ceil(reach / _LONGEST_STEP))
