@@ -157,7 +157,7 @@ def _estimate_filtered(
 def _follow_filtered(
     load: Load, learning: EstimatorSettings, outputs: list[list[float]], inputs: list[list[float]]
 ) -> Array:
-    method, taps = methods.METHODS[learning.method], load.paper_taps
+    method, taps = methods.METHODS[learning.method], load.order
     state = estimator.new_estimator(method, learning, load, taps)
     found = []
     for (target, *filtered), applied in zip(outputs, inputs, strict=True):
@@ -172,10 +172,10 @@ def _follow_filtered(
 def _follow(given: Recording, learning: EstimatorSettings, outputs: list[float]) -> Array:
     """Physical parameters by least squares on the samples of an output themselves."""
     load, period_s = given.case.experiment.nominal(), given.case.experiment.period_s
-    method, taps = methods.METHODS[learning.method], load.paper_taps
+    method, taps = methods.METHODS[learning.method], load.order
     state = estimator.new_estimator(method, learning, load, taps)
     past_outputs = [outputs[0]] * load.order
-    past_inputs = [float(given.load_input[0])] * load.paper_taps
+    past_inputs = [float(given.load_input[0])] * load.order
     found = []
     for target, applied in zip(outputs, given.held_input, strict=True):
         regressor = state.sample.regressor

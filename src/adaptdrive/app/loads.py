@@ -137,7 +137,8 @@ def _models(settings: ControllerSettings, load: Load, period_s: float) -> list[M
 def _stands(load: Load, models: list[Model], pole: float) -> bool:
     """Return whether the gains for the first of some models keep all of them stable."""
     gains = pole_placement.compensator_gains(*models[0], load.order, pole)
-    return all(pole_placement.closes_stably(gains, a, b, load.order) for a, b in models)
+    loops = (pole_placement.closed_loop(gains, a, b) for a, b in models)
+    return all(map(pole_placement.is_stable, loops))
 
 
 def _poles(start: float, end: float) -> list[float]:

@@ -123,7 +123,7 @@ def _delay_margin(loop: NDArray[np.complex128], omega: Array) -> float:
 
 def _effort(a: list[float], b: list[float], r: list[float], s: list[float]) -> float:
     """Return the largest input after a unit step of the set-point."""
-    closed = pole_placement.closed_loop_polynomial(a, b, r, s)
+    closed = pole_placement.closed_loop([*r[1:], *s], a, b)
     inputs = lfilter(sum(s) * np.array(a), closed, np.ones(_STEPS))
     return float(np.abs(inputs).max())
 

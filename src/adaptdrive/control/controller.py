@@ -6,7 +6,6 @@ calls in the same order give the same commands bit for bit, live, simulated and 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
@@ -89,11 +88,11 @@ class Controller:
             return signals.SAFE_COMMAND
         if order.stage is _RUN:
             if order.mode is _MANUAL:  # a battery's terminals stay at their limit
-                highest_V = self._bearable(measurement, battery.highest_boost_voltage)
+                highest_V = self._bearable(measurement, 1.0)
                 fast.set_by_hand(self._fast, self.settings.stage, order.manual_V, highest_V)
             if fast.take_in(self.settings, self.load, self._fast, self._bank, measurement):
                 self._snapshot = self._take(measurement, order)
-        highest_V = self._bearable(measurement, battery.voltage_limit)
+        highest_V = self._bearable(measurement, battery.ABOVE)
         scale_S, reference_V = fast.drive(self._fast, self.settings.stage, measurement, highest_V)
         bridge = order.stage is _RUN or self.settings.stage.boost_needs_bridge
         return signals.Command(scale_S, reference_V, bridge)
@@ -264,17 +263,14 @@ class Controller:
         ]
         return tuple(map(self._reach.nearest, asked) if self.settings.govern else asked)
 
-    def _bearable(
-        self, measurement: Measurement, limit: Callable[[Charging, float], float]
-    ) -> float:
-        """Return the V_c that a battery bears; infinite for a load that bears any."""
+    def _bearable(self, measurement: Measurement, share: float) -> float:
+        """Return the V_c for a share of the voltage of a battery; infinite for other loads."""
         charging, voltage_V = self.load.charging, measurement.boost_voltage_V
         if charging is None:
             return math.inf
         power_W = measurement.load_power_W
-        return limit(
-            charging, battery.proven_current(charging, measurement.output, voltage_V, power_W)
-        )
+        current_A = battery.proven_current(charging, measurement.output, voltage_V, power_W)
+        return battery.boost_voltage(charging, share, current_A)
 
     def _sample(self, snapshot: Snapshot) -> regression.SlowSample:
         stage = self.settings.stage

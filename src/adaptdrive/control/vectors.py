@@ -78,9 +78,27 @@ def multiply(left: Vector, right: Vector) -> Vector:
     """Product of two polynomials given by their coefficients."""
     product = [0.0] * (len(left) + len(right) - 1)
     for i in range(len(left)):
+        factor = left[i]
         for j in range(len(right)):
-            product[i + j] += left[i] * right[j]
+            product[i + j] += factor * right[j]
     return product
+
+
+def follow(polynomial: Vector, past: Vector, inputs: Vector) -> Vector:
+    """Return a course, oldest first, and its continuation behind 1/polynomial in q^-1.
+
+    Args:
+        polynomial: Coefficients, the first one 1.
+        past: The course so far, newest first, no shorter than the polynomial less one.
+        inputs: What the polynomial makes of the continuation, oldest first.
+    """
+    values = past[::-1] + inputs
+    for k in range(len(past), len(values)):
+        result = values[k]
+        for j in range(1, len(polynomial)):
+            result -= polynomial[j] * values[k - j]
+        values[k] = result
+    return values
 
 
 def solve_linear(matrix: Vector, right: Vector) -> Vector:

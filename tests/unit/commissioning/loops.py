@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -12,12 +12,9 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.commissioning.proposal import propose
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.design.pole_placement import (
-    closed_loop_polynomial,
     compensator_gains,
-    loop_delay_ticks,
-    window_ticks,
+    discrete_model,
 )
-from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive_sim.parameters import EXAMPLES
@@ -52,7 +49,10 @@ def loop_around(draw: Draw, identified: IdentifiedLoad) -> Loop:
     gains = compensator_gains(a, b, order, section.pole)
     taps = len(gains) - order - 1
     r, s = [1.0, *gains[:taps]], gains[taps:]
-    closed = [closed_loop_polynomial(*model, r, s) for model in ((a, b), (true_a, true_b))]
+    closed = [
+        np.polyadd(np.convolve(one_a, r)[::-1], np.convolve(one_b, s)[::-1])[::-1]
+        for one_a, one_b in ((a, b), (true_a, true_b))
+    ]
     predicted, real = (
         lfilter(sum(s) * np.array(one), poles, np.ones(_STEPS))
         for one, poles in zip((b, true_b), closed, strict=True)
@@ -65,7 +65,6 @@ def loop_around(draw: Draw, identified: IdentifiedLoad) -> Loop:
 def _model(configuration: Configuration, more_s: float) -> tuple[list[float], list[float]]:
     """The discrete model of a configured load with an additional dead time."""
     load, settings = build_load(configuration), controller_settings(configuration)
-    rates, period_s = settings.rates, configuration.load.period_s
-    tick_s = period_s / rates.ticks_per_period
-    delay_s, window_s = loop_delay_ticks(rates) * tick_s + more_s, window_ticks(rates) * tick_s
-    return held_model(list(load.numerator), list(load.denominator), period_s, delay_s, window_s)
+    numerator, denominator = list(load.numerator), list(load.denominator)
+    late = replace(load, delay_s=load.delay_s + more_s)
+    return discrete_model(settings, late, numerator, denominator, configuration.load.period_s)

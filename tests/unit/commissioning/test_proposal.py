@@ -15,7 +15,7 @@ from adaptdrive.commissioning.evaluation import evaluate, predict
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.commissioning.proposal import Proposal, propose
 from adaptdrive.control.design.pole_placement import (
-    closed_loop_polynomial,
+    closed_loop,
     compensator_gains,
     discrete_model,
 )
@@ -61,9 +61,7 @@ def roots(proposal: Proposal, factor: float) -> float:
     model = (list(load.numerator), list(load.denominator))
     a, b = discrete_model(settings, load, *model, section.period_s)
     gains = compensator_gains(a, b, load.order, section.pole)
-    taps = len(gains) - load.order - 1
-    scaled = [factor * one for one in b]
-    closed = closed_loop_polynomial(a, scaled, [1.0, *gains[:taps]], gains[taps:])
+    closed = closed_loop(gains, a, [factor * one for one in b])
     return float(np.abs(np.roots(closed)).max())
 
 

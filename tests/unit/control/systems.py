@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from scipy.linalg import companion
 from scipy.signal import cont2discrete
 
+from adaptdrive.control.design.pole_placement import equation, place
+
 Array = NDArray[np.float64]
 
 
@@ -74,6 +76,22 @@ def motor_system(disks: int = 1, gain: float = 0.011, filter_s: float = 10.0) ->
     tau_s = 11.7 * disks
     product = tau_s * filter_s
     return System([0.0, 0.0, gain / product], [1.0, (tau_s + filter_s) / product, 1.0 / product])
+
+
+def impulse_invariant(
+    gain: float, tau_sum_s: float, tau_product_s2: float, period_s: float
+) -> Array:
+    """A, then B, of g/((τ1 s + 1)(τ2 s + 1)): (24) with (25) corrected, for any two poles."""
+    roots = np.roots([1.0, tau_sum_s / tau_product_s2, 1.0 / tau_product_s2]).astype(complex)
+    decays, apart = np.exp(roots * period_s), roots[0] - roots[1]
+    slope = period_s * np.exp(roots[0] * period_s) if apart == 0.0 else np.diff(decays)[0] / -apart
+    b1 = period_s * gain / tau_product_s2 * slope
+    return np.array([1.0, -sum(decays).real, np.prod(decays).real, 0.0, b1.real, 0.0])
+
+
+def place_poles(a: list[float], b: list[float], desired: list[float]) -> tuple[Any, Any]:
+    """R and S of the loop with the poles of a polynomial."""
+    return place(equation(a, b), a, b, desired)
 
 
 def matrix_of(step: Callable[[Array], Array], size: int) -> Array:

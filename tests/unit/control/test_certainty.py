@@ -124,7 +124,7 @@ def spread(values: list[float], root: Array, pole: float = 0.7) -> float:
     a, b = discrete_model(BOLD, MOTOR, *MOTOR.realise(values), 1.0)
     gains, loop = compensator_gains(a, b, 2, pole), asked_loop(b, 2, pole)
     models = possible_models(BOLD, MOTOR, values, list(root.ravel()), 1.0)
-    return response_spread(2, models, gains, loop, b, pole)
+    return response_spread(models, gains, loop, b, pole)
 
 
 def responses(values: list[float], loads: Array, pole: float = 0.7) -> Array:

@@ -8,16 +8,17 @@ from adaptdrive.config.load import Charge
 from adaptdrive.config.section import meanings_of
 from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.battery import (
+    ABOVE,
     ChargeState,
     battery_load,
     begin_anew,
+    boost_voltage,
     is_complete,
     is_disconnected,
     is_too_long,
     proven_current,
     taper,
     terminal_voltage,
-    voltage_limit,
 )
 from adaptdrive.control.loads.load import Charging
 from adaptdrive.control.slow import slow_step
@@ -121,7 +122,7 @@ def test_a_charge_may_last_for_its_longest_time(lasted_s: float, *, trips: bool)
 
 @pytest.mark.parametrize("current_A", [0.0, 14.0])
 def test_the_terminals_may_be_as_far_above_the_limit_as_its_key_says(current_A: float) -> None:
-    highest_V = terminal_voltage(LIMITS, voltage_limit(LIMITS, current_A), current_A)
+    highest_V = terminal_voltage(LIMITS, boost_voltage(LIMITS, ABOVE, current_A), current_A)
     share = highest_V / LIMITS.voltage_max_V - 1.0
     assert f"by {100.0 * share:.3g} % at most" in meanings_of(Charge)["voltage_max_V"]
 

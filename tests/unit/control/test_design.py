@@ -10,16 +10,14 @@ from adaptdrive.control.design.pole_placement import (
     compensator_gains,
     discrete_model,
     kept_factor,
-    loop_delay_ticks,
     past_inputs,
     reference_lead,
-    window_ticks,
 )
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.discretise import impulse_invariant_pair
+from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.settings import ControllerSettings
 from tests.integration.closed_loop.bench import EXACT, MOTOR, PAPER, RATES, TICK_s
-from tests.unit.control.systems import Array, System, distance, motor_system
+from tests.unit.control.systems import Array, System, distance, impulse_invariant, motor_system
 
 SINGLE = replace(EXACT, rates=replace(RATES, samples=1))
 
@@ -53,10 +51,12 @@ def test_the_exact_model_predicts_what_the_loop_measures(
 
 
 def test_the_delay_counts_latency_lag_and_half_a_sample() -> None:
-    assert loop_delay_ticks(RATES) == 2 + 9 - 0.5
-    assert loop_delay_ticks(SINGLE.rates) == 2 + 9
-    assert window_ticks(RATES) == 60.0
-    assert window_ticks(SINGLE.rates) == 0.0
+    system, tick_s = motor_system(), 1.0 / RATES.ticks_per_period
+    for settings, delay, window in ((EXACT, 2 + 9 - 0.5, 60), (SINGLE, 2 + 9, 0)):
+        whole = held_model(
+            system.numerator, system.denominator, 1.0, delay * tick_s, window * tick_s
+        )
+        assert model(settings, system) == whole
     lead = pytest.approx((2 + 9) / 120)
     assert reference_lead(EXACT, MOTOR) == reference_lead(SINGLE, MOTOR) == lead
     assert reference_lead(PAPER, MOTOR) == 0.0  # the paper leaves it out
@@ -74,8 +74,7 @@ def test_a_zero_between_the_pole_and_one_is_cancelled(zero: float, kept: bool) -
 
 def test_the_papers_design_uses_the_papers_model() -> None:
     a, b = model(PAPER, motor_system(2))
-    expected_a, expected_b = impulse_invariant_pair(0.011, 33.4, 234.0, 1.0)
-    assert [*a, *b] == pytest.approx([*expected_a, *expected_b], rel=1e-12)
+    assert [*a, *b] == pytest.approx(impulse_invariant(0.011, 33.4, 234.0, 1.0), rel=1e-12)
     assert past_inputs(PAPER, MOTOR) == 2
 
 

@@ -12,16 +12,16 @@ from scipy.signal import cont2discrete, dlsim, lfilter
 from adaptdrive.control.estimation.methods import continuous_model
 from adaptdrive.control.loads.discretise import (
     held_model,
-    impulse_invariant_pair,
-    input_taps,
-    propagate,
+    propagated,
 )
+from adaptdrive.control.loads.motor import paper_model, realise
 from adaptdrive.control.vectors import Vector
 from tests.unit.control.systems import (
     Array,
     System,
     decades,
     held_polynomials,
+    impulse_invariant,
     polynomials,
     stable_systems,
 )
@@ -76,11 +76,13 @@ def test_with_delay_and_averaging_it_is_the_simulated_response(
     a, b = held_model(system.numerator, system.denominator, 1.0, delay_s, window_s)
     expected = simulate_finely(system, inputs, delay_ticks, window_ticks)
     assert np.allclose(lfilter(b, a, inputs), expected, rtol=0.0, atol=1e-8)
-    assert len(b) == 1 + input_taps(system.order, 1.0, delay_s, window_s)
+    assert len(b) == 1 + system.order + math.ceil((delay_ticks + window_ticks) / TICKS)
 
 
 @given(stable_systems(direct=True), st.floats(0.0, 40.0))
-def test_propagate_is_the_matrix_exponential(system: System, duration_s: float) -> None:
+def test_what_is_propagated_is_multiplied_by_the_matrix_exponential(
+    system: System, duration_s: float
+) -> None:
     order = system.order
     a, b, c, d = (np.flip(block) for block in system.state_space())
     whole = np.block(
@@ -92,25 +94,39 @@ def test_propagate_is_the_matrix_exponential(system: System, duration_s: float) 
     )
     state = np.arange(1.0, order + 3.0)
     expected = expm(whole * duration_s) @ state
-    moved = state.tolist()
-    propagate([*a[-1], *c[0], float(d[0, 0])], moved, duration_s)
+    moved = propagated([*a[-1], *c[0], float(d[0, 0])], state.tolist(), duration_s)
     assert np.allclose(moved, expected, rtol=1e-9, atol=1e-9 * np.abs(state).max())
 
 
-def impulse_invariant(gain: float, tau_sum: float, tau_product: float, period_s: float) -> Array:
-    """B by scipy, then A."""
+def sampled_impulse(gain: float, tau_sum: float, tau_product: float, period_s: float) -> Array:
+    """A and B by scipy."""
     system = System([0.0, 0.0, gain / tau_product], [1.0, tau_sum / tau_product, 1.0 / tau_product])
     return np.concatenate(polynomials(cont2discrete(system.state_space(), period_s, "impulse")))
 
 
 @given(st.floats(0.001, 10.0), st.floats(0.0, 1.9), decades(1.0, 40.0), st.floats(0.1, 5.0))
-def test_the_impulse_invariant_pair_is_scipys_whatever_the_poles(
+def test_the_papers_model_of_a_motor_is_the_impulse_invariant_one_whatever_the_poles(
     gain: float, damping: float, tau_s: float, period_s: float
 ) -> None:
     tau_sum, tau_product = max(0.1, 2.0 * damping) * tau_s, tau_s**2
-    a, b = impulse_invariant_pair(gain, tau_sum, tau_product, period_s)
-    expected = impulse_invariant(gain, tau_sum, tau_product, period_s)
-    assert np.allclose([*a, *b], expected, rtol=0.0, atol=1e-11 * max(1.0, gain))
+    a, b = paper_model(*realise([gain, tau_sum, tau_product]), period_s)
+    for model in (sampled_impulse, impulse_invariant):
+        expected = model(gain, tau_sum, tau_product, period_s)
+        assert np.allclose([*a, *b], expected, rtol=0.0, atol=1e-11 * max(1.0, gain))
+
+
+@given(
+    st.tuples(*[st.floats(-1e300, 1e300)] * 3),
+    st.tuples(*[st.floats() | st.floats(-1e3, 1e3)] * 2),
+    st.sampled_from([0.01, 1.0, 30.0]),
+)
+def test_an_absurd_load_has_a_model_of_no_finite_numbers_and_no_error(
+    numerator: tuple[float, ...], rest: tuple[float, ...], period_s: float
+) -> None:
+    a, b = held_model(list(numerator), [1.0, *rest], period_s, 0.1 * period_s, 0.5 * period_s)
+    assert (len(a), len(b)) == (3, 4)
+    if not np.isfinite(rest).all():
+        assert not np.isfinite(a).all()
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,13 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from adaptdrive.control import fast
-from adaptdrive.control.design.pole_placement import desired_polynomial, place_poles
+from adaptdrive.control.design.pole_placement import desired_polynomial
 from adaptdrive.control.estimation import estimator as est
 from adaptdrive.control.estimation import regression, rls
 from adaptdrive.control.estimation.methods import METHODS
 from adaptdrive.control.loads.bath import bath_load
-from adaptdrive.control.loads.discretise import impulse_invariant_pair
 from adaptdrive.control.loads.load import Load, to_voltage
-from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.control.loads.motor import motor_load, paper_model
 from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.slow import control_law
 from tests.unit.control.learning import learn_sampled
@@ -29,6 +28,7 @@ from tests.unit.control.systems import (
     held_polynomials,
     matrix_of,
     motor_system,
+    place_poles,
 )
 
 GAIN, MOTOR_s, FILTER_s = 0.011, 11.7, 10.0
@@ -61,7 +61,8 @@ def printed(period_s: float, motor_s: float = MOTOR_s) -> Coefficients:
 
 def corrected(period_s: float, motor_s: float = MOTOR_s) -> Coefficients:
     """(25) with its three corrections, as the controller uses it."""
-    a, b = impulse_invariant_pair(GAIN, motor_s + FILTER_s, motor_s * FILTER_s, period_s)
+    load = motor_load(GAIN, motor_s, FILTER_s)
+    a, b = paper_model(list(load.numerator), list(load.denominator), period_s)
     return Coefficients(a[1], a[2], b[1])
 
 
@@ -197,7 +198,7 @@ def _learn_filtered(
     bank = fast.new_filter_bank(
         load, period_s / ticks, learning.tau_lambda_s, float(outputs[0]), voltage_V
     )
-    state = est.new_estimator(METHODS[learning.method], learning, load, load.paper_taps)
+    state = est.new_estimator(METHODS[learning.method], learning, load, load.order)
     for n, output in enumerate(outputs):
         bank.inputs[0] = bank.late[-1] = float(held[max(0, n - 1)])  # held from its beginning
         fast.filter_sample(bank, float(output), bank.inputs[0], 1)

@@ -30,7 +30,6 @@ from adaptdrive.control.design.pole_placement import (
     discrete_model,
     equation,
     loop_gains,
-    place_poles,
 )
 from adaptdrive.control.design.reference import (
     ReferenceFilter,
@@ -41,7 +40,7 @@ from adaptdrive.control.design.reference import (
 from adaptdrive.control.slow import control_law
 from adaptdrive.control.vectors import copy_into, multiply
 from tests.integration.closed_loop.bench import EXACT, MOTOR
-from tests.unit.control.systems import Array, distance, motor_system
+from tests.unit.control.systems import Array, distance, motor_system, place_poles
 
 POLE = 0.7
 
@@ -61,7 +60,7 @@ def faster(
 ) -> list[float]:
     (a, b), order = model, len(model[0]) - 1
     quiet, circle = asked_loop(b, order, pole), unit_circle(len(a) + len(b) - 1)
-    return fast_loop(equation(a, b), a, b, order, pole, quiet, noise, limit, circle)
+    return fast_loop(equation(a, b), a, b, pole, quiet, noise, limit, circle)
 
 
 def values(polynomial: list[float], angles: np.ndarray) -> np.ndarray:
@@ -194,7 +193,7 @@ def test_the_gain_is_what_a_noisy_loop_shows() -> None:
 @pytest.mark.parametrize(("noise", "limit"), [(1e-4, 15.0), (0.0, 15.0), (1.0, 0.0)])
 def test_poles_are_as_asked_while_the_noise_is_within_its_limit(noise: float, limit: float) -> None:
     a, b = model(3)
-    found = np.roots(detuned_loop(equation(a, b), a, b, MOTOR.order, POLE, noise, limit))
+    found = np.roots(detuned_loop(equation(a, b), a, b, POLE, noise, limit))
     assert distance(found, [POLE] * 4 + [0.0] * (len(found) - 4)) < 2e-3
 
 
@@ -203,9 +202,7 @@ def test_poles_are_as_asked_while_the_noise_is_within_its_limit(noise: float, li
 def test_the_noise_of_the_input_is_just_within_its_limit(disks: int, times: float) -> None:
     a, b = model(disks)
     limit = noise_gain(equation(a, b), a, b, asked_loop(b, MOTOR.order, POLE)) / times
-    found = noise_gain(
-        equation(a, b), a, b, detuned_loop(equation(a, b), a, b, MOTOR.order, POLE, 1.0, limit)
-    )
+    found = noise_gain(equation(a, b), a, b, detuned_loop(equation(a, b), a, b, POLE, 1.0, limit))
     assert 0.8 * limit <= found <= limit
 
 
@@ -225,7 +222,7 @@ def test_a_limit_makes_no_loop_louder_than_the_poles_asked_for(
         equation(a, b),
         a,
         b,
-        detuned_loop(equation(a, b), a, b, MOTOR.order, pole, 1.0, asked / times),
+        detuned_loop(equation(a, b), a, b, pole, 1.0, asked / times),
     )
     assert found <= asked * (1.0 + 1e-9)
 
@@ -233,7 +230,7 @@ def test_a_limit_makes_no_loop_louder_than_the_poles_asked_for(
 def test_observer_poles_come_first() -> None:
     a, b = model(3)
     asked = noise_gain(equation(a, b), a, b, asked_loop(b, MOTOR.order, POLE))
-    found = np.roots(detuned_loop(equation(a, b), a, b, MOTOR.order, POLE, 1.0, asked / 2.0))
+    found = np.roots(detuned_loop(equation(a, b), a, b, POLE, 1.0, asked / 2.0))
     assert np.sort(np.abs(found))[1:] == pytest.approx([POLE] * 4, abs=2e-3)
     slowness = float(np.min(np.abs(found))) / 0.8
     assert 0.3 < slowness < 1.0
@@ -246,7 +243,7 @@ def test_observer_poles_come_first() -> None:
 @pytest.mark.parametrize("noise", [1e3, np.inf, np.nan])
 def test_no_noise_makes_the_poles_slower_than_a_quarter_of_the_asked_speed(noise: float) -> None:
     a, b = model(1)
-    found = np.roots(detuned_loop(equation(a, b), a, b, MOTOR.order, POLE, noise, 1.0))
+    found = np.roots(detuned_loop(equation(a, b), a, b, POLE, noise, 1.0))
     slowest = 1.0 - SLOWEST_SHARE * (1.0 - POLE)
     assert distance(found, [slowest] * 4 + [OBSERVER_POLE] * (len(found) - 4)) < 5e-3
 

@@ -157,7 +157,8 @@ def stepped(
     upcoming: list[float], adaptive: bool = True, steps: int = 6, *, exact: bool = True
 ) -> SlowState:
     """A slow half at rest that knows what comes."""
-    state, settings = known(), replace(SETTINGS, exact=exact)
+    settings = replace(SETTINGS, exact=exact)
+    state = known(settings)
     for _ in range(steps):
         sample = replace(SAMPLE, upcoming=upcoming, adaptive=adaptive)
         slow_step(settings, MOTOR, state, sample)

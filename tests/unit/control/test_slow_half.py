@@ -243,9 +243,9 @@ HEAVY = [0.011, 33.4, 234.0]
 BATTERY = battery_load(0.25, 1.2, 0.3, 60.0, Charging(0.25, 1.0, 0.2, 58.0, 1.0))
 
 
-def known() -> SlowState:
+def known(settings: ControllerSettings = SETTINGS) -> SlowState:
     """A slow half at rest that is sure of a motor with two disks."""
-    state = new_slow_state(SETTINGS, MOTOR, 3.0, REST_V)
+    state = new_slow_state(settings, MOTOR, 3.0, REST_V)
     state.estimator.estimate.theta[:3] = theta_of(SETTINGS.learning, MOTOR, *MOTOR.realise(HEAVY))
     state.estimator.estimate.diagonal[:] = [1e-6] * 3
     state.estimator.periods = 100

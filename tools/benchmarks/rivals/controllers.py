@@ -18,7 +18,7 @@ from scipy.linalg import solve_discrete_are, toeplitz
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter, lfiltic
 
-from adaptdrive.control.design.pole_placement import desired_polynomial, place_poles
+from adaptdrive.control.design.pole_placement import desired_polynomial, equation, place
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 
@@ -151,8 +151,8 @@ class LeastSquares:
         self.theta = np.array([*-a[1:], *b[1:] * task.rest / task.output, rest])
         self.spread = np.eye(len(self.theta))
         self.inputs, self.outputs = [task.rest] * 8, [task.output] * 8
-        self.r, self.s = place_poles(list(a), list(b), self.desired)
         self.b, self.aim = list(b), task.output
+        self.r, self.s = place(equation(list(a), self.b), list(a), self.b, self.desired)
 
     @property
     def desired(self) -> list[float]:
@@ -196,7 +196,7 @@ class LeastSquares:
         """Pole placement for the estimate; a design that is not finite is not used."""
         a = [1.0, *-self.theta[: self.order]]
         b = [0.0, *self.theta[self.order : -1] * self.task.output / self.task.rest]
-        r, s = place_poles(a, b, self.desired)
+        r, s = place(equation(a, b), a, b, self.desired)
         if np.all(np.isfinite([*r, *s])):
             self.r, self.s, self.b = r, s, b
 

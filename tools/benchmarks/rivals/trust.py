@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from adaptdrive.control.design.pole_placement import (
-    closed_loop_polynomial,
+    closed_loop,
     desired_polynomial,
-    place_poles,
+    equation,
+    loop_gains,
 )
 from adaptdrive.control.loads.load import Load
 from adaptdrive_sim.campaign.drawn import DrawnRun
@@ -33,11 +34,11 @@ EACH = 5
 def step_response(task: Task, designed_for: Load, on: Load) -> Array:
     """Response to a step of the loop designed for one load, on another one."""
     a, b = task.model(on)
-    guessed = task.model(designed_for)
+    guessed_a, guessed_b = map(list, task.model(designed_for))
     desired = desired_polynomial(task.pole, 2 * designed_for.order)
-    r, s = place_poles(list(guessed[0]), list(guessed[1]), desired)
-    loop = closed_loop_polynomial(list(a), list(b), r, s)
-    found: Array = lfilter(sum(s) * b, loop, np.ones(60))
+    gains = loop_gains(equation(guessed_a, guessed_b), guessed_a, guessed_b, desired)
+    loop = closed_loop(gains, list(a), list(b))
+    found: Array = lfilter(sum(gains[len(b) - 1 :]) * b, loop, np.ones(60))
     return found
 
 

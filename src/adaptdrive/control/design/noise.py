@@ -52,15 +52,12 @@ OBSERVER_POLE = 1.0 - 1.0 / FEWEST
 SLOWEST_SHARE = 0.25
 """Least 1 - p over that of the pole asked for: four times its time constant."""
 
-_BOTH = 2.0
-"""Slowness at which the observer poles and the asked poles are at their limits."""
-
 _HALVINGS = 6
 """Halvings of the way to the slowest poles, and to the fastest: found within 0.03 and 0.01."""
 
 
 def detuned_loop(
-    solved: Vector, a: Vector, b: Vector, order: int, pole: float, noise: float, limit: float
+    solved: Vector, a: Vector, b: Vector, pole: float, noise: float, limit: float
 ) -> Vector:
     """Return A_c with the fastest poles that keep the noise of the input within its limit.
 
@@ -68,44 +65,47 @@ def detuned_loop(
         solved: The `equation` of A and B.
         a: A of the model.
         b: B of the model.
-        order: m.
         pole: Closed-loop pole asked for.
         noise: σ_y of a slow sample, in the unit of the output.
         limit: Largest σ_u, in the unit of the input; 0 for none.
     """
-    kept = kept_factor(b, pole)
-    free = len(a) + len(b) - 2 - 2 * order
-    found = slowed_loop(kept, order, free, pole, 0.0)
+    kept, free = kept_factor(b, pole), len(b) - len(a)
+    found = slowed_loop(kept, len(a) - 1, free, pole, 0.0)
     least = noise_gain(solved, a, b, found)
     if noise * least <= limit or not limit > 0.0:
         return found
-    low, high, slowness = 0.0, _BOTH, _BOTH
-    for _ in range(1 + _HALVINGS):
-        loop = slowed_loop(kept, order, free, pole, slowness)
+    fast, slow = 0.0, 2.0 / (1.0 - 0.5**_HALVINGS)  # so that the last one towards it is 2
+    for _ in range(_HALVINGS):
+        slowness = 0.5 * (fast + slow)
+        loop = slowed_loop(kept, len(a) - 1, free, pole, slowness)
         gain = noise_gain(solved, a, b, loop)
-        if noise * gain <= limit:
-            found, least, high = loop, 0.0, slowness
-        else:
-            found, least = (loop, gain) if gain < least else (found, least)
-            low = slowness if slowness < high else low
-        slowness = 0.5 * (low + high)
+        within = noise * gain <= limit
+        if within or gain < least:
+            found, least = loop, 0.0 if within else gain
+        fast, slow = (fast, slowness) if within else (slowness, slow)
     return found
 
 
 def slowed_loop(kept: Vector, order: int, free: int, pole: float, slowness: float) -> Vector:
-    """Return A_c for a slowness of 0 (as asked) to 1 (observer poles) to 2 (all poles slow).
+    """Return A_c for a slowness of -1 (all poles half of the pole asked for) to 0 (as asked).
+
+    From there it goes on to 1 (observer poles) and 2 (all poles slow).
 
     Args:
         kept: Factor of A_m that is not moved, [1.0] for none.
         order: m.
         free: Number of poles that nobody asks for.
         pole: Closed-loop pole asked for.
-        slowness: 0 to 2.
+        slowness: -1 to 2.
     """
-    observer = OBSERVER_POLE * min(slowness, 1.0)
-    share = 1.0 - (1.0 - SLOWEST_SHARE) * max(slowness - 1.0, 0.0)
-    slowed = desired_polynomial(1.0 - share * (1.0 - pole), 2 * order + 1 - len(kept))
-    return multiply(multiply(kept, slowed), desired_polynomial(observer, free))
+    if slowness < 0.0:
+        observer = -0.5 * slowness * pole
+        moved = pole - observer
+    else:
+        observer = OBSERVER_POLE * min(slowness, 1.0)
+        moved = 1.0 - (1.0 - pole) * (1.0 - (1.0 - SLOWEST_SHARE) * max(slowness - 1.0, 0.0))
+    asked = multiply(kept, desired_polynomial(moved, 2 * order + 1 - len(kept)))
+    return multiply(asked, desired_polynomial(observer, free))
 
 
 def noise_gain(solved: Vector, a: Vector, b: Vector, loop: Vector) -> float:
@@ -137,19 +137,12 @@ def impulse_norm(numerator: Vector, denominator: Vector) -> float:
     for k in range(degree, 0, -1):
         if lacks(a[0], 0.0):
             return math.inf
-        beta = b[k] / a[0]
+        alpha, beta, last = a[k] / a[0], b[k] / a[0], a[: k + 1]
         power += beta * b[k]
-        _reduce(a, b, k)
+        for i in range(k):
+            a[i] -= alpha * last[k - i]
+            b[i] -= beta * last[k - i]
     return math.sqrt(power + b[0] * b[0] / a[0]) if a[0] > 0.0 else math.inf
-
-
-def _reduce(a: Vector, b: Vector, k: int) -> None:
-    """Lower the degree of both polynomials from k to k - 1."""
-    alpha, beta = a[k] / a[0], b[k] / a[0]
-    last = [a[k - i] for i in range(k + 1)]
-    for i in range(k):
-        a[i] -= alpha * last[i]
-        b[i] -= beta * last[i]
 
 
 # Fast feedback: disturbances are corrected as soon as noise and margins allow.
@@ -174,7 +167,6 @@ def fast_loop(
     solved: Vector,
     a: Vector,
     b: Vector,
-    order: int,
     pole: float,
     quiet: Vector,
     noise: float,
@@ -187,33 +179,26 @@ def fast_loop(
         solved: The `equation` of A and B.
         a: A of the model.
         b: B of the model.
-        order: m.
         pole: Closed-loop pole asked for.
         quiet: A_q.
         noise: σ_y of a slow sample, in the unit of the output.
         limit: Largest σ_u of the quiet law, in the unit of the input; 0 for A_q at any noise.
         circle: That of `unit_circle` for as many entries as A_c has.
     """
-    kept = kept_factor(b, pole)
-    free = len(a) + len(b) - 2 - 2 * order
-    low, high = 0.0, 1.0 if limit > 0.0 else 0.0
+    kept, free, found = kept_factor(b, pole), len(b) - len(a), list(quiet)
+    if not limit > 0.0:
+        return found
+    fast, slow = -1.0, 0.0
     for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        loop = _faster_loop(kept, order, free, pole, middle)
+        slowness = 0.5 * (fast + slow)
+        loop = slowed_loop(kept, len(a) - 1, free, pole, slowness)
         r, s = place(solved, a, b, loop)
         spent = noise * impulse_norm(multiply(s, a), loop)
         if spent <= SPENT * limit and has_margins(multiply(a, r), multiply(b, s), loop, circle):
-            low = middle
+            found, slow = loop, slowness
         else:
-            high = middle
-    return list(quiet) if low == 0.0 else _faster_loop(kept, order, free, pole, low)
-
-
-def _faster_loop(kept: Vector, order: int, free: int, pole: float, speed: float) -> Vector:
-    """Return A_f for a speed of 0 (as asked) to 1 (all poles half of the pole asked for)."""
-    observer = 0.5 * speed * pole
-    asked = multiply(kept, desired_polynomial(pole - observer, 2 * order + 1 - len(kept)))
-    return multiply(asked, desired_polynomial(observer, free))
+            fast = slowness
+    return found
 
 
 def unit_circle(count: int) -> Vector:
@@ -225,14 +210,12 @@ def unit_circle(count: int) -> Vector:
     Returns:
         Real and imaginary parts of its powers of q^-1, and |1 - z^-d|² at the end of the row.
     """
-    row = 2 * count + 1
-    circle = [0.0] * (row * _FREQUENCIES)
+    circle: Vector = []
     angle = math.pi
-    for first in range(0, len(circle), row):
+    for _ in range(_FREQUENCIES):
         for i in range(count):
-            circle[first + 2 * i] = math.cos(i * angle)
-            circle[first + 2 * i + 1] = math.sin(i * angle)
-        circle[first + row - 1] = (2.0 * math.sin(0.5 * DELAY_MARGIN * angle)) ** 2
+            circle += [math.cos(i * angle), math.sin(i * angle)]
+        circle.append((2.0 * math.sin(0.5 * DELAY_MARGIN * angle)) ** 2)
         angle *= _NEXT
     return circle
 

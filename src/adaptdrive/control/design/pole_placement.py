@@ -34,7 +34,7 @@ as a gain and time constants that grow together, count for what they do together
 import math
 
 from adaptdrive.control import thresholds, vectors
-from adaptdrive.control.loads.discretise import held_model, input_taps
+from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.vectors import Vector
@@ -44,66 +44,75 @@ from adaptdrive.control.vectors import Vector
 
 def desired_polynomial(pole: float, count: int) -> Vector:
     """(1 - pole q^-1)^count."""
-    polynomial = [0.0] * (count + 1)
-    polynomial[0] = 1.0
-    for degree in range(1, count + 1):
-        for i in range(degree, 0, -1):
-            polynomial[i] -= pole * polynomial[i - 1]
+    polynomial = [1.0]
+    for _ in range(count):
+        polynomial = vectors.multiply(polynomial, [1.0, -pole])
     return polynomial
-
-
-def place_poles(a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
-    """Controller polynomials R and S for a closed loop with given poles.
-
-    Args:
-        a: A, first entry 1.
-        b: B, first entry (direct term) 0.
-        desired: A_m, first entry 1, at most as long as A and B have taps together, plus one.
-
-    Returns:
-        R (first entry 1, R(1) = 0) and S; NaNs where A and B share a root.
-    """
-    return place(equation(a, b), a, b, desired)
 
 
 def equation(a: Vector, b: Vector) -> Vector:
     """Return the equation of A and B, which is the same for every loop, eliminated.
 
+    Args:
+        a: A, first entry 1.
+        b: B, first entry (direct term) 0.
+
     Returns:
         Its matrix, and the pivots behind it.
     """
     integrating = vectors.multiply(a, [1.0, -1.0])
-    free, feedback = len(b) - 2, len(a)
-    size = free + feedback
+    free = len(b) - 2
+    size = free + len(a)
     matrix = [0.0] * (size * size)
-    for row in range(size):
-        power = row + 1
-        for j in range(free):
-            matrix[row * size + j] = _entry(integrating, power - 1 - j)
-        for j in range(feedback):
-            matrix[row * size + free + j] = _entry(b, power - j)
+    for j in range(free):
+        for i in range(len(integrating)):
+            matrix[(i + j) * size + j] = integrating[i]
+    for j in range(len(a)):
+        for i in range(1, len(b)):
+            matrix[(i + j - 1) * size + free + j] = b[i]
     pivots = vectors.eliminate(matrix, size)
     return [*matrix, *pivots]
 
 
 def place(solved: Vector, a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
-    """Return what `place_poles` does, from the `equation` of A and B."""
+    """Controller polynomials R and S for a closed loop with given poles.
+
+    Args:
+        solved: The `equation` of A and B.
+        a: A of the model.
+        b: B of the model.
+        desired: A_c, first entry 1, at most as long as A and B have taps together, plus one.
+
+    Returns:
+        R (first entry 1, R(1) = 0) and S; NaNs where A and B share a root.
+    """
     integrating = vectors.multiply(a, [1.0, -1.0])
     free = len(b) - 2
     size = free + len(a)
-    right = [_entry(desired, i + 1) - _entry(integrating, i + 1) for i in range(size)]
+    right = [*desired[1:], *[0.0] * size][:size]
+    for i in range(len(a)):
+        right[i] -= integrating[i + 1]
     solution = vectors.substitute(solved, solved[size * size :], right)
     return vectors.multiply([1.0, *solution[:free]], [1.0, -1.0]), solution[free:]
 
 
-def closed_loop_polynomial(a: Vector, b: Vector, r: Vector, s: Vector) -> Vector:
-    """A R + B S: its roots are the poles of the loop that R, S close around any A, B."""
-    forward, back = vectors.multiply(a, r), vectors.multiply(b, s)
-    return [_entry(forward, i) + _entry(back, i) for i in range(max(len(forward), len(back)))]
+def loop_gains(solved: Vector, a: Vector, b: Vector, desired: Vector) -> Vector:
+    """Return what `place` does as gains: r_1 ... r_n, s_0 ... s_m."""
+    r, s = place(solved, a, b, desired)
+    return [*r[1:], *s]
 
 
-def _entry(polynomial: Vector, power: int) -> float:
-    return polynomial[power] if 0 <= power < len(polynomial) else 0.0
+def closed_loop(gains: Vector, a: Vector, b: Vector) -> Vector:
+    """Return A R + B S: its roots are the poles of the loop that gains close around any A, B.
+
+    Args:
+        gains: r_1 ... r_n, s_0 ... s_m.
+        a: A, m + 1 entries.
+        b: B, n + 1 entries.
+    """
+    taps = len(gains) - len(a)
+    loop, back = vectors.multiply(a, [1.0, *gains[:taps]]), vectors.multiply(b, gains[taps:])
+    return [loop[i] + back[i] for i in range(len(loop))]
 
 
 # From a load model to the gains of the compensator, for both designs.
@@ -112,14 +121,9 @@ _HALVINGS = 50
 """Halvings of an interval of 1 until it is as short as the rounding of a double."""
 
 
-def loop_delay_ticks(rates: Rates) -> float:
-    """Fast ticks from a snapshot to the mean effect of its decision.
-
-    A mean over M samples ends half a tick after the last of them, when it is seen as an average
-    over M whole ticks.
-    """
-    delay = rates.latency_ticks + rates.lag_ticks
-    return delay - 0.5 if rates.samples > 1 else delay
+def _delay_ticks(rates: Rates, load: Load) -> float:
+    """Fast ticks from a snapshot to the mean effect of its decision on the output."""
+    return rates.latency_ticks + rates.lag_ticks + load.delay_s / rates.nominal_tick_s
 
 
 def reference_lead(settings: ControllerSettings, load: Load) -> float:
@@ -129,24 +133,15 @@ def reference_lead(settings: ControllerSettings, load: Load) -> float:
     """
     if not settings.exact or load.numerator[0] != 0.0:
         return 0.0
-    rates = settings.rates
-    delay_ticks = rates.latency_ticks + rates.lag_ticks + load.delay_s / rates.nominal_tick_s
-    return delay_ticks / rates.ticks_per_period
-
-
-def window_ticks(rates: Rates) -> float:
-    """Length of the averaging window, 0 for a single sample."""
-    return float(rates.samples) if rates.samples > 1 else 0.0
+    return _delay_ticks(settings.rates, load) / settings.rates.ticks_per_period
 
 
 def past_inputs(settings: ControllerSettings, load: Load) -> int:
     """Return the number of past inputs that the compensator needs."""
-    if not settings.exact:
-        return load.paper_taps
-    rates = settings.rates
-    ticks = float(rates.ticks_per_period)
-    delay = loop_delay_ticks(rates) + load.delay_s / rates.nominal_tick_s
-    return input_taps(load.order, ticks, delay, window_ticks(rates))
+    period_s = settings.rates.ticks_per_period * settings.rates.nominal_tick_s
+    numerator, denominator = list(load.numerator), list(load.denominator)
+    _, b = discrete_model(settings, load, numerator, denominator, period_s)
+    return len(b) - 1
 
 
 def discrete_model(
@@ -156,42 +151,30 @@ def discrete_model(
     denominator: Vector,
     period_s: float,
 ) -> tuple[Vector, Vector]:
-    """The model A, B in q^-1 that the chosen design works with."""
+    """The model A, B in q^-1 that the chosen design works with.
+
+    A mean over M samples ends half a tick after the last of them, when it is seen as an average
+    over M whole ticks.
+    """
     if not settings.exact:
         return load.paper_model(numerator, denominator, period_s)
-    rates = settings.rates
+    rates, delay_ticks, window_ticks = settings.rates, _delay_ticks(settings.rates, load), 0.0
+    if rates.samples > 1:
+        delay_ticks, window_ticks = delay_ticks - 0.5, float(rates.samples)
     tick_s = period_s / rates.ticks_per_period
-    delay_s = loop_delay_ticks(rates) * tick_s + load.delay_s * tick_s / rates.nominal_tick_s
-    return held_model(numerator, denominator, period_s, delay_s, window_ticks(rates) * tick_s)
+    return held_model(numerator, denominator, period_s, delay_ticks * tick_s, window_ticks * tick_s)
 
 
 def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
-    """The gains of the compensator for 2m equal poles.
+    """Return the gains of the compensator for 2m equal poles, ordered as those of `loop_gains`.
 
     Args:
         a: A of the model.
         b: B of the model.
         order: m.
         pole: The closed-loop pole.
-
-    Returns:
-        r_1 ... r_n, s_0 ... s_m; NaNs where the model cannot be controlled.
     """
-    r, s = place_poles(a, b, asked_loop(b, order, pole))
-    return [*r[1:], *s]
-
-
-def loop_gains(solved: Vector, a: Vector, b: Vector, desired: Vector) -> Vector:
-    """Return the gains of the loop `desired`, ordered as those of `compensator_gains`.
-
-    Args:
-        solved: The `equation` of A and B.
-        a: A of the model.
-        b: B of the model.
-        desired: A_c.
-    """
-    r, s = place(solved, a, b, desired)
-    return [*r[1:], *s]
+    return loop_gains(equation(a, b), a, b, asked_loop(b, order, pole))
 
 
 def asked_loop(b: Vector, order: int, pole: float) -> Vector:
@@ -206,9 +189,16 @@ def kept_factor(b: Vector, pole: float) -> Vector:
     A zero that is slower than the pole takes the place of one pole. A battery has one close to its
     own pole, and moving that pole away would take enormous gains.
     """
-    if _value(b, pole) * _value(b, 1.0) < 0.0:
-        return [1.0, -_zero(b, pole)]
-    return [1.0]
+    low, high, end = pole, 1.0, vectors.total(b)
+    if not _value(b, low) * end < 0.0:
+        return [1.0]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if _value(b, middle) * end < 0.0:
+            low = middle
+        else:
+            high = middle
+    return [1.0, -high]
 
 
 def _value(b: Vector, z: float) -> float:
@@ -217,18 +207,6 @@ def _value(b: Vector, z: float) -> float:
     for coefficient in b:
         value = value * z + coefficient
     return value
-
-
-def _zero(b: Vector, low: float) -> float:
-    """The zero of B between `low` and 1, where its sign changes."""
-    high, below = 1.0, _value(b, low)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        if _value(b, middle) * below > 0.0:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
 
 
 # Assurance: how far the loop that new gains make may differ from the one asked for.
@@ -269,7 +247,8 @@ def possible_models(
     models = _model(settings, load, values, period_s)
     for j in range(count):
         for sign in (confidence, -confidence):
-            vertex = _moved(values, root, j, sign)
+            moved = [values[i] + sign * root[i * count + j] for i in range(count)]
+            vertex = [max(moved[i], _SMALLEST_SHARE * values[i]) for i in range(count)]
             models = [*models, *_model(settings, load, vertex, period_s)]
     return models
 
@@ -281,17 +260,11 @@ def _model(settings: ControllerSettings, load: Load, values: Vector, period_s: f
 
 
 def response_spread(
-    order: int,
-    models: Vector,
-    gains: Vector,
-    loop: Vector,
-    model_b: Vector,
-    pole: float,
+    models: Vector, gains: Vector, loop: Vector, model_b: Vector, pole: float
 ) -> float:
     """Return how far the response to a step may be off, as a share of the step.
 
     Args:
-        order: m.
         models: Those of `possible_models`.
         gains: r_1 ... r_n, s_0 ... s_m.
         loop: A_c, which they give the estimate.
@@ -304,78 +277,41 @@ def response_spread(
     """
     if math.isnan(models[0]):
         return math.inf
-    size = order + 1 + len(model_b)
+    order, size = len(gains) - len(model_b), len(gains) + 1
     driven = _driven(order, gains, loop, model_b, pole)
     own = _response(order, models[:size], gains, driven)
     squares = [0.0] * len(own)
     for first in range(size, len(models), 2 * size):
-        largest = [0.0] * len(own)
-        for begin in (first, first + size):
-            other = _response(order, models[begin : begin + size], gains, driven)
-            for i in range(len(own)):
-                largest[i] = max(largest[i], abs(other[i] - own[i]))
+        ahead = _response(order, models[first : first + size], gains, driven)
+        behind = _response(order, models[first + size : first + 2 * size], gains, driven)
         for i in range(len(own)):
-            squares[i] += largest[i] * largest[i]
+            largest = max(abs(ahead[i] - own[i]), abs(behind[i] - own[i]))
+            squares[i] += largest * largest
     return math.sqrt(max(squares))
 
 
-def closes_stably(gains: Vector, a: Vector, b: Vector, order: int) -> bool:
-    """Return whether gains and a model A, B make a stable loop.
-
-    Args:
-        gains: r_1 ... r_n, s_0 ... s_m.
-        a: A of the model.
-        b: B of the model.
-        order: m.
-    """
-    return _is_stable(closed_loop(gains, a, b, order))
-
-
-def _is_stable(polynomial: Vector) -> bool:
-    return vectors.all_finite(polynomial) and vectors.is_stable(polynomial, STABLE_RADIUS)
-
-
-def closed_loop(gains: Vector, a: Vector, b: Vector, order: int) -> Vector:
-    """Return A_c of the loop that gains and a model A, B make."""
-    taps = len(gains) - order - 1
-    return closed_loop_polynomial(a, b, [1.0, *gains[:taps]], gains[taps:])
-
-
-def _moved(values: Vector, root: Vector, column: int, factor: float) -> Vector:
-    """p + factor · l_j, where every parameter stays positive."""
-    count, vertex = len(values), list(values)
-    for i in range(count):
-        moved = values[i] + factor * root[i * count + column]
-        vertex[i] = max(moved, _SMALLEST_SHARE * values[i])
-    return vertex
+def is_stable(loop: Vector) -> bool:
+    """Return whether a loop A_c is stable, with the margin of a possible load."""
+    return vectors.all_finite(loop) and vectors.is_stable(loop, STABLE_RADIUS)
 
 
 def _driven(order: int, gains: Vector, loop: Vector, b: Vector, pole: float) -> Vector:
     """t0 r" of a unit step behind the reference filter, until the response has settled."""
     asked = asked_loop(b, order, pole)
     count = min(_LONGEST, round(4.0 * order * pole / (1.0 - pole)) + len(b))
-    course = _filtered([vectors.total(asked)], asked, [1.0] * count)
-    share = vectors.total(gains[len(gains) - order - 1 :]) / vectors.total(loop)
-    return _filtered([share * one for one in loop], [1.0], course)
+    share = vectors.total(gains[len(b) - 1 :]) * vectors.total(asked) / vectors.total(loop)
+    return _filtered([share * one for one in loop], asked, [1.0] * count)
 
 
 def _response(order: int, model: Vector, gains: Vector, driven: Vector) -> Vector:
     """y[k] of a load in the loop of some gains; infinite where that is not stable."""
     a, b = model[: order + 1], model[order + 1 :]
-    closed = closed_loop(gains, a, b, order)
-    if not _is_stable(closed):
-        return [math.inf] * len(driven)
-    return _filtered(b, closed, driven)
+    loop = closed_loop(gains, a, b)
+    return _filtered(b, loop, driven) if is_stable(loop) else [math.inf] * len(driven)
 
 
 def _filtered(numerator: Vector, denominator: Vector, signal: Vector) -> Vector:
     """A signal behind a filter in q^-1 that begins at rest."""
-    result = [0.0] * len(signal)
-    for k in range(len(signal)):
-        value = 0.0
-        for i in range(min(k + 1, len(numerator))):
-            value += numerator[i] * signal[k - i]
-        for i in range(1, min(k + 1, len(denominator))):
-            value -= denominator[i] * result[k - i]
-        result[k] = value
-    return result
+    inputs = vectors.multiply(numerator, signal)[: len(signal)]
+    past = [0.0] * (len(denominator) - 1)
+    return vectors.follow(denominator, past, inputs)[len(past) :]

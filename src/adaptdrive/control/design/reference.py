@@ -14,10 +14,10 @@ well: one that is known a slow period later.
 
 min ½ xᵀ H x - hᵀ x,  low <= x <= high
 
-by the method of active limits (J. Nocedal and S. J. Wright, Numerical Optimization, 2006, section
-16.5): those numbers that are not held at a limit go towards the minimum over them, as far as the
-first limit. Where they have reached it, the one that pulls most from its limit is let go. Each step
-is exact, and none leaves the limits or makes the function larger; the steps are bounded.
+by principal pivots (K. G. Murty, Opsearch 11, 1974): the minimum over the numbers that are not held
+at a limit is found exactly. The last number that it puts beyond a limit is then held there, or one
+that pulls from the limit at which it is held is let go. No choice comes twice, so that this ends
+with the minimum; the steps are bounded.
 
 The response asked for is B/B(1) m*, m* = A_m(1)/A_m r'. It needs the input
 
@@ -85,9 +85,8 @@ def filter_reference(state: ReferenceFilter, reference: float, planned: float = 
     if vectors.total(state.loop) == 0.0 or not vectors.all_finite(state.course):
         vectors.copy_into(state.course, [reference] * len(state.course))
         return reference
-    course = vectors.total(state.asked) * reference
-    for i in range(1, len(state.asked)):
-        course -= state.asked[i] * state.course[i - 1]
+    asked = [vectors.total(state.asked) * reference]
+    course = vectors.follow(state.asked, state.course, asked)[-1]
     vectors.shift_in(state.course, planned if math.isfinite(planned) else course)
     return reference_of(state.loop, state.course)
 
@@ -111,8 +110,8 @@ def condition_reference(state: ReferenceFilter, shortage: float, gain: float) ->
 
 # A quadratic function of a few numbers, each between its limits.
 
-_STEPS = 4
-"""Steps for each number; about one and a half are needed."""
+_STEPS = 20
+"""Steps for each number; about one is needed."""
 
 
 def minimise(matrix: Vector, right: Vector, low: Vector, high: Vector) -> Vector:
@@ -125,56 +124,39 @@ def minimise(matrix: Vector, right: Vector, low: Vector, high: Vector) -> Vector
         high: Highest x.
     """
     count = len(right)
-    x, held = [min(max(0.0, low[i]), high[i]) for i in range(count)], [0.0] * count
+    x, held = [0.0] * count, [0.0] * count
     for _ in range(_STEPS * count):
-        way = _way(matrix, right, x, held)
-        share, first = 1.0, -1
-        for i in range(count):
-            room = (high[i] if way[i] > 0.0 else low[i]) - x[i]
-            if share * abs(way[i]) > abs(room):
-                share, first = room / way[i], i
-        for i in range(count):
-            x[i] = min(max(x[i] + share * way[i], low[i]), high[i])
-        if first >= 0:
-            held[first] = 1.0 if way[first] > 0.0 else -1.0
-            x[first] = high[first] if way[first] > 0.0 else low[first]
-        elif not _let_go(matrix, right, x, held):
+        x = _least(matrix, right, low, high, held)
+        if not _correct_last(matrix, right, low, high, x, held):
             break
-    return x
+    return [min(max(x[i], low[i]), high[i]) for i in range(count)]
 
 
-def _way(matrix: Vector, right: Vector, x: Vector, held: Vector) -> Vector:
-    """Return the way to the minimum over the numbers that are not held."""
-    count = len(right)
-    part, pull = [0.0] * (count * count), [0.0] * count
+def _least(matrix: Vector, right: Vector, low: Vector, high: Vector, held: Vector) -> Vector:
+    """Return the x of the least function, with some numbers at a limit: the low one, -1, or 1."""
+    count, part, target = len(right), list(matrix), list(right)
     for i in range(count):
-        part[i * count + i] = 1.0
-        if held[i] == 0.0:
-            pull[i] = _pull(matrix, right, x, i)
+        if held[i] != 0.0:
+            target[i] = low[i] if held[i] < 0.0 else high[i]
             for j in range(count):
-                if held[j] == 0.0:
-                    part[i * count + j] = matrix[i * count + j]
-    return vectors.solve_linear(part, pull)
+                part[i * count + j] = 1.0 if j == i else 0.0
+    return vectors.solve_linear(part, target)
 
 
-def _pull(matrix: Vector, right: Vector, x: Vector, i: int) -> float:
-    """Return how much the function falls with one number."""
-    result = right[i]
-    for j in range(len(x)):
-        result -= matrix[i * len(x) + j] * x[j]
-    return result
-
-
-def _let_go(matrix: Vector, right: Vector, x: Vector, held: Vector) -> bool:
-    """Let go of the number that pulls most from its limit; False where none does."""
-    worst, most = -1, 0.0
-    for i in range(len(x)):
-        pull = -held[i] * _pull(matrix, right, x, i)
-        if pull > most:
-            worst, most = i, pull
-    if worst >= 0:
-        held[worst] = 0.0
-    return worst >= 0
+def _correct_last(
+    matrix: Vector, right: Vector, low: Vector, high: Vector, x: Vector, held: Vector
+) -> bool:
+    """Hold or let go of the last number that is beyond a limit or pulls from it; False for none."""
+    count = len(x)
+    for i in range(count - 1, -1, -1):
+        pull = right[i] - vectors.dot(matrix[i * count : (i + 1) * count], x)
+        side = held[i] if held[i] * pull >= 0.0 else 0.0
+        if held[i] == 0.0:
+            side = -1.0 if x[i] < low[i] else 1.0 if x[i] > high[i] else 0.0
+        if side != held[i]:
+            held[i] = side
+            return True
+    return False
 
 
 # Preview: where the law would leave the limits of the input, the course to come is planned.
@@ -198,12 +180,8 @@ def led_references(reference: float, last: float, upcoming: Vector, lead: float)
         upcoming: r[k+1] and the following ones.
         lead: d (`slow`).
     """
-    led = [0.0] * (len(upcoming) + 1)
-    for i in range(len(led)):
-        value = reference if i == 0 else upcoming[i - 1]
-        led[i] = value + lead * (value - last)
-        last = value
-    return led
+    known = [last, reference, *upcoming]
+    return [known[i] + lead * (known[i] - known[i - 1]) for i in range(1, len(known))]
 
 
 def rest(state: ReferenceFilter) -> None:
@@ -239,17 +217,19 @@ def plan(
         beyond: How far the law may go beyond a limit before its course gives way.
     """
     past, asked = len(state.course), state.asked
-    law = follow(asked, state.course, vectors.total(asked), references)
-    added = last_input - _needed(a, b, law, past - 1)
+    pulled = [vectors.total(asked) * one for one in references]
+    law = vectors.follow(asked, state.course, pulled)
+    needed = [one / vectors.total(b) for one in vectors.multiply(a, law)]
+    added = last_input - needed[past - 1]
     if not math.isfinite(state.offset):
         state.offset = added if free else 0.0
     below, above = last_input <= low, last_input >= high
     if free or (below and added < state.offset) or (above and added > state.offset):
         state.offset += (1.0 - pole) * (added - state.offset)
-    ideal = follow(asked, state.ideal, vectors.total(asked), references)
+    ideal = vectors.follow(asked, state.ideal, pulled)
     vectors.shift_in(state.ideal, ideal[past])
     low, high = low - beyond - state.offset, high + beyond - state.offset
-    wanted = [_needed(a, b, law, past + i) for i in range(AHEAD)]
+    wanted = needed[past : past + AHEAD]
     found = law[past]
     if min(wanted) < low or max(wanted) > high:
         found = _planned(a, b, state.course, ideal[past:], wanted, low, high)
@@ -257,27 +237,6 @@ def plan(
         found = min(max(found, min(known)), max(known))
     state.moved = found - ideal[past]
     return found
-
-
-def follow(polynomial: Vector, course: Vector, gain: float, inputs: Vector) -> Vector:
-    """Return a course, oldest first, and its continuation by gain/polynomial of the inputs."""
-    past = len(course)
-    values = [0.0] * (past + AHEAD)
-    for i in range(past):
-        values[i] = course[past - 1 - i]
-    for i in range(past, past + AHEAD):
-        values[i] = gain * inputs[i - past]
-        for j in range(1, len(polynomial)):
-            values[i] -= polynomial[j] * values[i - j]
-    return values
-
-
-def _needed(a: Vector, b: Vector, values: Vector, at: int) -> float:
-    """Return the input that a course needs, less f."""
-    result = 0.0
-    for j in range(len(a)):
-        result += a[j] * values[at - j]
-    return result / vectors.total(b)
 
 
 def _planned(
@@ -301,7 +260,7 @@ def _planned(
         high: Highest input, less f.
     """
     inputs = [min(max(one, low), high) for one in wanted]
-    given = follow(a, course, vectors.total(b), inputs)[len(course) :]
+    given = _answer(a, b, course, inputs)
     gap = [ideal[i] - given[i] for i in range(AHEAD)]
     parts = [inputs[MOVES[j] : MOVES[j + 1]] for j in range(len(MOVES) - 1)]
     lowest, highest = [low - min(part) for part in parts], [high - max(part) for part in parts]
@@ -318,22 +277,19 @@ def _added(a: Vector, b: Vector, gap: Vector, lowest: Vector, highest: Vector) -
         lowest: Least δ between each two changes.
         highest: Largest δ.
     """
-    step = follow(a, [0.0] * len(a), vectors.total(b), [1.0] * AHEAD)[len(a) :]
-    count = len(lowest)
-    matrix, right = [0.0] * (count * count), [0.0] * count
-    for i in range(AHEAD):
-        for j in range(count):
-            answer = _answer(step, i, j)
-            right[j] += answer * gap[i]
-            for other in range(count):
-                matrix[j * count + other] += answer * _answer(step, i, other)
+    count, rest_course = len(lowest), [0.0] * len(a)
+    answers = []
     for j in range(count):
-        matrix[j * count + j] += UNREST * (vectors.total(b) / vectors.total(a)) ** 2
-    return step[0] * minimise(matrix, right, lowest, highest)[0]
+        moved = [1.0 if MOVES[j] <= i < MOVES[j + 1] else 0.0 for i in range(AHEAD)]
+        answers.append(_answer(a, b, rest_course, moved))
+    matrix = [vectors.dot(one, other) for one in answers for other in answers]
+    for j in range(0, len(matrix), count + 1):
+        matrix[j] += UNREST * (vectors.total(b) / vectors.total(a)) ** 2
+    right = [vectors.dot(one, gap) for one in answers]
+    return answers[0][0] * minimise(matrix, right, lowest, highest)[0]
 
 
-def _answer(step: Vector, i: int, j: int) -> float:
-    """Return what δ between two changes does to the course, i periods ahead."""
-    begun, ended = i - MOVES[j], i - MOVES[j + 1]
-    result = step[begun] if begun >= 0 else 0.0
-    return result - step[ended] if ended >= 0 else result
+def _answer(a: Vector, b: Vector, course: Vector, inputs: Vector) -> Vector:
+    """Return how a course, newest first, goes on with these inputs."""
+    gained = [vectors.total(b) * one for one in inputs]
+    return vectors.follow(a, course, gained)[len(course) :]

@@ -52,7 +52,6 @@ def bath_load(
         physical=physical,
         realise=realise,
         paper_model=paper_model,
-        paper_taps=1,
         delay_s=delay_s,
     )
 
@@ -69,6 +68,4 @@ def realise(values: Vector) -> tuple[Vector, Vector]:
 
 def paper_model(numerator: Vector, denominator: Vector, period_s: float) -> tuple[Vector, Vector]:
     """The step-invariant model (12)-(13)."""
-    resistance, tau_s = physical(numerator, denominator)
-    a1 = -discretise.exponential(-period_s / tau_s)
-    return [1.0, a1], [0.0, resistance * (1.0 + a1)]
+    return discretise.held_model(numerator, denominator, period_s, 0.0, 0.0)

@@ -59,7 +59,6 @@ def battery_load(
         physical=physical,
         realise=realise,
         paper_model=paper_model,
-        paper_taps=2,
         charging=charging,
     )
 
@@ -91,8 +90,9 @@ TAPER_GAIN = 1.0 / WINDOW
 _NEAR_LIMIT = 0.99
 """Share of the largest voltage that counts as reached: the taper never reaches all of it."""
 
-_ABOVE = 1.02
-"""Terminal voltage that V_c may lead to, over V_max: the taper itself overshoots by less."""
+ABOVE = 1.02
+"""Terminal voltage that V_c may lead to, over V_max: a current that wants more has no battery to
+flow into, and the taper itself overshoots by less."""
 
 _STEP = 4.0
 """Current, in end currents, that no taper loses in one slow period, even with a wrong R_0."""
@@ -139,19 +139,10 @@ def proven_current(
     return min(current_A, carried_A)
 
 
-def highest_boost_voltage(charging: Charging, current_A: float) -> float:
-    """Return the v_bst at which the terminals are at V_max, with a current into the battery."""
-    return _boost_voltage(charging, charging.voltage_max_V, current_A)
-
-
-def voltage_limit(charging: Charging, current_A: float) -> float:
-    """Return the largest V_c: a current that wants more has no battery to flow into."""
-    return _boost_voltage(charging, _ABOVE * charging.voltage_max_V, current_A)
-
-
-def _boost_voltage(charging: Charging, terminal_V: float, current_A: float) -> float:
-    """Return the v_bst at which the terminals are at a voltage."""
-    return (terminal_V + charging.droop_Ohm * max(0.0, current_A)) / charging.turns_ratio
+def boost_voltage(charging: Charging, share: float, current_A: float) -> float:
+    """Return the v_bst at which the terminals are at a share of V_max, with a current into them."""
+    dropped_V = charging.droop_Ohm * max(0.0, current_A)
+    return (share * charging.voltage_max_V + dropped_V) / charging.turns_ratio
 
 
 def taper(

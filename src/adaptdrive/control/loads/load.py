@@ -55,7 +55,6 @@ class Load:
         physical: Physical parameters of a model.
         realise: The model that has given physical parameters.
         paper_model: The discretisation that the paper uses for this load.
-        paper_taps: Past inputs in that model, trailing zeros included.
         charging: For a battery: when its current must taper and end.
         delay_s: Dead time from the input to the output.
     """
@@ -69,7 +68,6 @@ class Load:
     physical: Physical
     realise: Realise
     paper_model: Discretise
-    paper_taps: int
     charging: Charging | None = None
     delay_s: float = 0.0
 

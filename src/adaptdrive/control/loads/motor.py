@@ -8,7 +8,7 @@ kept in S and Π: with τ_λ near the time constants, noise makes the estimated 
 every third time, and that is a legal model.
 """
 
-from adaptdrive.control.loads.discretise import impulse_invariant_pair
+from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector
 
@@ -34,7 +34,6 @@ def motor_load(gain: float, tau_motor_s: float, tau_filter_s: float) -> Load:
         physical=physical,
         realise=realise,
         paper_model=paper_model,
-        paper_taps=2,
     )
 
 
@@ -54,6 +53,10 @@ def realise(values: Vector) -> tuple[Vector, Vector]:
 
 
 def paper_model(numerator: Vector, denominator: Vector, period_s: float) -> tuple[Vector, Vector]:
-    """The impulse-invariant model (24)."""
-    gain, tau_sum_s, tau_product_s2 = physical(numerator, denominator)
-    return impulse_invariant_pair(gain, tau_sum_s, tau_product_s2, period_s)
+    """The impulse-invariant model (24), with (25) as corrected.
+
+    The response of H to an impulse is that of s H to a step. B keeps the trailing zero, so that
+    the design has as many poles as the paper's.
+    """
+    a, b = held_model([*numerator[1:], 0.0], denominator, period_s, 0.0, 0.0)
+    return a, [0.0, period_s * b[1], 0.0]

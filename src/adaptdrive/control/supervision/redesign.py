@@ -30,7 +30,7 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
     if state.accepted or _is_recalled(settings, state, verdict):
         vectors.copy_into(state.adaptive_gains, gains)
         _take_loop(load, state, sample.pole)
-        _take_fast_law(settings, load, state, sample)
+        _take_fast_law(settings, state, sample)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b
         state.input_noise = _input_noise(settings, state, state.new_loop, thresholds.NOISE_FLOOR)
         state.fast_noise = _input_noise(settings, state, state.fast_loop, 0.0)
@@ -72,16 +72,14 @@ def _take_loop(load: Load, state: SlowState, pole: float) -> None:
     vectors.copy_into(target.loop, state.new_loop)
 
 
-def _take_fast_law(
-    settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
-) -> None:
+def _take_fast_law(settings: ControllerSettings, state: SlowState, sample: SlowSample) -> None:
     """Take over the fast law, or the quiet one where the covariance leaves the fast one unsure."""
     a, b, quiet, solved = state.model_a, state.model_b, state.new_loop, state.equation
     noise, limit = _output_noise(settings, state, 0.0), settings.supervision.noise_max
-    loop = fast_loop(solved, a, b, load.order, sample.pole, quiet, noise, limit, state.circle)
+    loop = fast_loop(solved, a, b, sample.pole, quiet, noise, limit, state.circle)
     gains = pole_placement.loop_gains(solved, a, b, loop)
     most = settings.supervision.spread_max
-    if most > 0.0 and vectors.exceeds(_spread(load, state, gains, loop, sample.pole), most):
+    if most > 0.0 and vectors.exceeds(_spread(state, gains, loop, sample.pole), most):
         loop, gains = quiet, pole_placement.loop_gains(solved, a, b, quiet)
     vectors.copy_into(state.fast_loop, loop)
     vectors.copy_into(state.fast_gains, gains)
@@ -125,11 +123,9 @@ def _redesign(
         return verdict
     limit = settings.supervision.noise_max
     noise, solved = _output_noise(settings, state), pole_placement.equation(a, b)
-    vectors.copy_into(
-        state.new_loop, detuned_loop(solved, a, b, load.order, sample.pole, noise, limit)
-    )
+    vectors.copy_into(state.new_loop, detuned_loop(solved, a, b, sample.pole, noise, limit))
     vectors.copy_into(gains, pole_placement.loop_gains(solved, a, b, state.new_loop))
-    closed = pole_placement.closed_loop(gains, a, b, load.order)
+    closed = pole_placement.closed_loop(gains, a, b)
     verdict = supervisor.judge_poles(closed, supervisor.Verdict.UNSTABLE_LOOP)
     if verdict != supervisor.Verdict.TRUSTED:
         return verdict
@@ -147,17 +143,15 @@ def _judge_response(
     root = state.estimator.method.root(state.estimator, learning, load, state.values)
     models = pole_placement.possible_models(settings, load, state.values, root, sample.period_s)
     vectors.copy_into(state.possible, models)
-    state.spread = _spread(load, state, gains, state.new_loop, sample.pole)
+    state.spread = _spread(state, gains, state.new_loop, sample.pole)
     return supervisor.Verdict.TRUSTED if state.spread <= limit else supervisor.Verdict.UNCERTAIN
 
 
-def _spread(load: Load, state: SlowState, gains: Vector, loop: Vector, pole: float) -> float:
+def _spread(state: SlowState, gains: Vector, loop: Vector, pole: float) -> float:
     """Return how far the response may be off within the covariance of the estimate; 0 for none."""
     if not state.estimator.method.physical:
         return 0.0
-    return pole_placement.response_spread(
-        load.order, state.possible, gains, loop, state.model_b, pole
-    )
+    return pole_placement.response_spread(state.possible, gains, loop, state.model_b, pole)
 
 
 def _judge_parameters(
