@@ -74,11 +74,10 @@ def _estimator(size: int) -> Iterator[Row]:
 
 
 def _ours(regressors: list[list[float]], targets: list[float]) -> Job:
-    size = len(regressors[0])
-    theta, upper, diagonal = [0.0] * size, [0.0] * size**2, [0.0] * size
-    rls.reset(theta, upper, diagonal, 1e4)
+    own = rls.Estimate(len(regressors[0]))
+    own.open_up(1e4)
     samples = itertools.cycle(zip(regressors, targets, strict=True))
-    return lambda: rls.update(theta, upper, diagonal, *next(samples), 0.97)
+    return lambda: own.update(*next(samples), 0.97)
 
 
 def _padasip(regressors: Array, targets: list[float]) -> Job:

@@ -27,7 +27,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
+from adaptdrive.control.design.pole_placement import Plant, discrete_model
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
@@ -128,7 +128,7 @@ def overshoot(shown: Run, from_s: int) -> float:
 
 def response_error(drawn: Drawn, values: Array, size: float) -> float:
     """Return how far the gains for an estimate miss the response on the true load, of the step."""
-    settings, order = drawn.settings, drawn.load.order
+    settings = drawn.settings
     motor = Motor(drawn.motor)
     motor.resize(size, 0.0)
     coupling = CouplingParameters()
@@ -136,9 +136,8 @@ def response_error(drawn: Drawn, values: Array, size: float) -> float:
     lags = (true["tau_motor_s"], true["tau_filter_s"])
     truth = [true["gain"], sum(lags), lags[0] * lags[1]]
     a, b = discrete_model(settings, drawn.load, *drawn.load.realise(list(values)), 1.0)
-    gains = compensator_gains(a, b, order, POLE)
-    taps = len(gains) - order - 1
-    r, s = [1.0, *gains[:taps]], gains[taps:]
+    plant = Plant(a, b)
+    r, s = plant.place(plant.asked(POLE))
     found = _step(*discrete_model(settings, drawn.load, *drawn.load.realise(truth), 1.0), r, s)
     return float(np.max(np.abs(found - _step(a, b, r, s))))
 

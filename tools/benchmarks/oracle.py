@@ -13,17 +13,17 @@ import math
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.control.estimation.estimator import EstimatorState
-from adaptdrive.control.estimation.methods import METHODS, LambdaMethod
+from adaptdrive.control.estimation.direct import METHODS
+from adaptdrive.control.estimation.estimator import LambdaEstimator
 from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.vectors import Vector
 from adaptdrive_sim.campaign.report import judge
@@ -38,18 +38,15 @@ LIMITED_SHARE = 0.01
 Row = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class KnownLoad(LambdaMethod):
+class KnownLoad(LambdaEstimator):
     """The λ-method, whose estimate is replaced by the load of each slow period."""
 
-    loads: Sequence[Load]
-    slow_s: float
+    loads: ClassVar[Sequence[Load]]
+    slow_s: ClassVar[float]
 
-    def model(
-        self, state: EstimatorState, learning: EstimatorSettings, load: Load
-    ) -> tuple[Vector, Vector]:
+    def model(self) -> tuple[Vector, Vector]:
         """Return numerator and denominator in s of the true load of this slow period."""
-        k = round(state.sample.time_s / self.slow_s) - 1
+        k = round(self.sample.time_s / self.slow_s) - 1
         true = self.loads[min(max(k, 0), len(self.loads) - 1)]
         return list(true.numerator), list(true.denominator)
 
@@ -63,7 +60,8 @@ def compare(campaign: Path, seed: int) -> Row:
     stand = Stand(draw(read_campaign(campaign), seed))
     fixed, adaptive = stand.run(Mode.FIXED), stand.run(Mode.ADAPTIVE)
     settings = stand.own.settings
-    METHODS["known"] = KnownLoad(stand.true_loads(), stand.own.period_s)
+    KnownLoad.loads, KnownLoad.slow_s = stand.true_loads(), stand.own.period_s
+    METHODS["known"] = KnownLoad
     trusting = replace(
         settings.supervision, ratio_min=-math.inf, ratio_max=math.inf, damping_min=0.0,
         residual_margin=0.0,

@@ -167,19 +167,17 @@ SUPERVISION = _control({
     "design.reference": "test_fast_feedback",
     "supervision.state": "test_reasons test_slow_half test_probing",
     "supervision.redesign": "test_redesign",
-    "estimation.uncertainty": "test_drift test_bank test_certainty test_doubt",
 })  # fmt: skip
 
 LEARNING = _control({
     "estimation.regression": "test_lambda_filter test_estimator test_bank test_methods",
     "estimation.rls": "test_rls test_beside",
-    "estimation.branch": "test_bank test_doubt test_drift test_methods test_estimator",
     "estimation.bank": "test_bank test_doubt test_drift",
     "estimation.estimator": (
         "test_estimator test_runs test_redesign "
         "test_bank test_methods test_certainty"
     ),
-    "estimation.methods": "test_methods test_bank test_estimator test_discretise",
+    "estimation.direct": "test_methods test_discretise",
 })  # fmt: skip
 
 DESIGN = _control({

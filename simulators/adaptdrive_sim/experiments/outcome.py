@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from adaptdrive.control.estimation import estimator, filters, methods, regression
+from adaptdrive.control.estimation import filters
+from adaptdrive.control.estimation.direct import METHODS, DirectEstimator, continuous_model
+from adaptdrive.control.estimation.estimator import LambdaEstimator
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import EstimatorSettings
@@ -129,7 +131,7 @@ def _noises(given: Recording) -> list[Array]:
 
 
 def _try_setting(given: Recording, outputs: list[Array], learning: EstimatorSettings) -> SweepPoint:
-    if methods.METHODS[learning.method].physical:
+    if METHODS[learning.method].physical:
         quiet, *noisy = _estimate_filtered(given, learning, outputs)
     else:
         ticks = given.case.settings.rates.ticks_per_period
@@ -157,32 +159,26 @@ def _estimate_filtered(
 def _follow_filtered(
     load: Load, learning: EstimatorSettings, outputs: list[list[float]], inputs: list[list[float]]
 ) -> Array:
-    method, taps = methods.METHODS[learning.method], load.order
-    state = estimator.new_estimator(method, learning, load, taps)
-    found = []
+    estimator, found = LambdaEstimator(learning, load, load.order), []
     for (target, *filtered), applied in zip(outputs, inputs, strict=True):
-        regressor = state.sample.regressor
-        regression.fill_filtered_regressor(regressor, learning, load, filtered, applied)
-        estimator.update_estimate(state, learning, load, target, usable=True)
-        numerator, denominator = regression.filtered_model(state.estimate.theta, learning, load)
-        found.append(_physical(load, numerator, denominator))
+        estimator.regression.fill_signals(estimator.sample.regressor, filtered, applied)
+        estimator.take_output(target, usable=True)
+        found.append(_physical(load, *estimator.model()))
     return np.array(found)
 
 
 def _follow(given: Recording, learning: EstimatorSettings, outputs: list[float]) -> Array:
     """Physical parameters by least squares on the samples of an output themselves."""
     load, period_s = given.case.experiment.nominal(), given.case.experiment.period_s
-    method, taps = methods.METHODS[learning.method], load.order
-    state = estimator.new_estimator(method, learning, load, taps)
+    estimator = DirectEstimator(learning, load, load.order)
     past_outputs = [outputs[0]] * load.order
     past_inputs = [float(given.load_input[0])] * load.order
     found = []
     for target, applied in zip(outputs, given.held_input, strict=True):
-        regressor = state.sample.regressor
-        methods.fill_direct_regressor(regressor, learning, load, past_outputs, past_inputs)
-        estimator.update_estimate(state, learning, load, target, usable=True)
-        a, b = methods.direct_model(state.estimate.theta, learning, load)
-        found.append(_physical(load, *methods.continuous_model(a, b, period_s)))
+        estimator.fill(past_outputs, past_inputs)
+        estimator.take_output(target, usable=True)
+        b, a = estimator.model()
+        found.append(_physical(load, *continuous_model(a, b, period_s)))
         shift_in(past_outputs, target)
         shift_in(past_inputs, applied)
     return np.array(found)

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 from adaptdrive.config import Configuration, root
 from adaptdrive.config.load import BathModel, BathSection, BatterySection, LoadSection, MotorSection
-from adaptdrive.control.design import pole_placement
-from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.design.pole_placement import Plant, discrete_model, is_stable
+from adaptdrive.control.estimation.direct import METHODS
 from adaptdrive.control.loads import bath, motor
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.load import Charging, Load, to_input
@@ -25,8 +25,6 @@ is 25 K warmer, and commissioning is seldom wrong by more."""
 
 _POLE_STEP = 0.01
 """Distance of the poles that are tried."""
-
-Model = tuple[list[float], list[float]]
 
 
 def build_load(configuration: Configuration) -> Load:
@@ -105,10 +103,10 @@ def pole_range(
         load: The load and its nominal model.
         section: `[load]`, whose own pole is taken to stand.
     """
-    models = _models(settings, load, section.period_s)
+    plants = _plants(settings, load, section.period_s)
     ends = []
     for end in (section.pole_min, section.pole_max):
-        after = itertools.takewhile(lambda p: _stands(load, models, p), _poles(section.pole, end))
+        after = itertools.takewhile(lambda p: _stands(plants, p), _poles(section.pole, end))
         ends.append([section.pole, *after][-1])
     return ends[0], ends[1]
 
@@ -118,27 +116,26 @@ def standing_poles(settings: ControllerSettings, load: Load, section: LoadSectio
 
     Arguments as of `pole_range`.
     """
-    models = _models(settings, load, section.period_s)
+    plants = _plants(settings, load, section.period_s)
     poles = [section.pole_min, *_poles(section.pole_min, section.pole_max), section.pole]
-    return sorted(pole for pole in set(poles) if _stands(load, models, pole))
+    return sorted(pole for pole in set(poles) if _stands(plants, pole))
 
 
-def _models(settings: ControllerSettings, load: Load, period_s: float) -> list[Model]:
+def _plants(settings: ControllerSettings, load: Load, period_s: float) -> list[Plant]:
     """Return the nominal model, and those of the loads at the corners of its box."""
     values = load.physical(list(load.numerator), list(load.denominator))
     shares = itertools.product((1.0 - MODEL_ERROR, 1.0 + MODEL_ERROR), repeat=len(values))
     boxes = [[v * s for v, s in zip(values, corner, strict=True)] for corner in shares]
     return [
-        pole_placement.discrete_model(settings, load, *load.realise(parameters), period_s)
+        Plant(*discrete_model(settings, load, *load.realise(parameters), period_s))
         for parameters in (values, *boxes)
     ]
 
 
-def _stands(load: Load, models: list[Model], pole: float) -> bool:
+def _stands(plants: list[Plant], pole: float) -> bool:
     """Return whether the gains for the first of some models keep all of them stable."""
-    gains = pole_placement.compensator_gains(*models[0], load.order, pole)
-    loops = (pole_placement.closed_loop(gains, a, b) for a, b in models)
-    return all(map(pole_placement.is_stable, loops))
+    gains = plants[0].gains(plants[0].asked(pole))
+    return all(is_stable(one.closed(gains)) for one in plants)
 
 
 def _poles(start: float, end: float) -> list[float]:

@@ -20,7 +20,7 @@ from adaptdrive import __version__
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.section import si_unit
-from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.estimation.direct import METHODS
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.devices.description import description_text

@@ -11,7 +11,7 @@ from adaptdrive.config import Configuration, consistency
 from adaptdrive.config.bus import CanBus, CanOpenBus
 from adaptdrive.config.load import ERROR_SHARE, FORGETTING, NOISE_SHARE, MotorSection
 from adaptdrive.control import thresholds, voltage_loop
-from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.estimation.direct import METHODS
 from adaptdrive.control.loads.discretise import KICK_SHARE, kick_factors
 from adaptdrive.control.loads.load import to_input
 from adaptdrive.control.settings import (
@@ -201,7 +201,7 @@ def _supervision(configuration: Configuration) -> SupervisionLimits:
     return SupervisionLimits(
         ratio_min=supervisor.ratio_min,
         ratio_max=supervisor.ratio_max,
-        patience_periods=supervisor.patience_periods,
+        revokes=True,
         damping_min=supervisor.damping_min,
         spread_max=supervisor.spread_max,
         residual_margin=supervisor.residual_margin,

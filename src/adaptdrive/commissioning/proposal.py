@@ -23,7 +23,7 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import read_text
 from adaptdrive.config.load import LoadTraits
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.design import pole_placement
+from adaptdrive.control.design.pole_placement import Plant, discrete_model
 from adaptdrive.control.loads.load import to_input
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification import proposed_model
@@ -93,16 +93,15 @@ def margins_of(configuration: Configuration) -> Margins:
     load, section = build_load(configuration), configuration.load
     settings = controller_settings(configuration)
     numerator, denominator = list(load.numerator), list(load.denominator)
-    a, b = pole_placement.discrete_model(settings, load, numerator, denominator, section.period_s)
-    gains = pole_placement.compensator_gains(a, b, load.order, section.pole)
-    taps = len(gains) - load.order - 1
-    r, s = [1.0, *gains[:taps]], gains[taps:]
+    a, b = discrete_model(settings, load, numerator, denominator, section.period_s)
+    plant = Plant(a, b)
+    r, s = plant.place(plant.asked(section.pole))
     omega = np.linspace(math.pi / _FREQUENCIES, math.pi, _FREQUENCIES)
     _, loop = freqz(np.convolve(b, s), np.convolve(a, r), omega)
     return Margins(
         gain=_gain_margin(loop),
         delay_s=_delay_margin(loop, omega) * section.period_s,
-        effort=_effort(a, b, r, s),
+        effort=_effort(plant, r, s),
     )
 
 
@@ -121,10 +120,10 @@ def _delay_margin(loop: NDArray[np.complex128], omega: Array) -> float:
     return float(min(margins, default=math.inf))
 
 
-def _effort(a: list[float], b: list[float], r: list[float], s: list[float]) -> float:
+def _effort(plant: Plant, r: list[float], s: list[float]) -> float:
     """Return the largest input after a unit step of the set-point."""
-    closed = pole_placement.closed_loop([*r[1:], *s], a, b)
-    inputs = lfilter(sum(s) * np.array(a), closed, np.ones(_STEPS))
+    closed = plant.closed([*r[1:], *s])
+    inputs = lfilter(sum(s) * np.array(plant.a), closed, np.ones(_STEPS))
     return float(np.abs(inputs).max())
 
 

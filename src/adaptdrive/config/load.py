@@ -289,8 +289,6 @@ class Supervisor(section.Section):
     checked"""
     dwell_periods: int = section.key(7, span=(1, 10_000))
     """good estimates in a row before the first goes live"""
-    patience_periods: int = section.key(0, span=(0, 10_000))
-    """refused estimates in a row that the last trusted gains survive"""
     blend_periods: int = section.key(5, span=(1, 10_000))
     """slow periods over which one law hands over to the other"""
     saturated_s: section.Duration = 240.0

@@ -11,13 +11,15 @@ from typing import Final
 
 from adaptdrive.control import fast, signals, slow, voltage_loop
 from adaptdrive.control.design.reference import AHEAD
-from adaptdrive.control.estimation import estimator, filters, methods, regression
+from adaptdrive.control.estimation import filters
+from adaptdrive.control.estimation.direct import METHODS
+from adaptdrive.control.estimation.estimator import LambdaEstimator
 from adaptdrive.control.loads import battery
 from adaptdrive.control.loads.load import Charging, Load, to_input, to_voltage
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Measurement, Order, Snapshot
 from adaptdrive.control.supervision import monitor, setpoints
-from adaptdrive.control.supervision.state import SlowState, new_slow_state, reason
+from adaptdrive.control.supervision.state import SlowState, reason
 
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
 _DISCONNECTED = "no current: the current has left in one step: is the battery disconnected?"
@@ -61,14 +63,14 @@ class Controller:
                 method whose θ is not physical ignores them.
             resolution: Step of the output that an earlier run has found in its samples, 0 for none.
         """
-        self.trusted = prior if methods.METHODS[settings.learning.method].physical else None
+        self.trusted = prior if METHODS[settings.learning.method].physical else None
         self.settings = settings
         self.load = load
         self._stage = signals.Stage.OFF
         self._fast = fast.FastState(tick=0, boost_reference_V=0.0, error_sum=0.0)
         self._bank = self._new_bank(settings.rates.nominal_tick_s, 0.0, 0.0)
         self._bank.quantiser = filters.known_quantiser(resolution)
-        self.state = new_slow_state(settings, load, 0.0, 0.0)
+        self.state = SlowState(settings, load, 0.0, 0.0)
         self._reach = setpoints.nominal_reach(load, settings.stage)
         self._snapshot: Snapshot | None = None
 
@@ -108,21 +110,21 @@ class Controller:
         load_input = slow.slow_step(settings, self.load, state, self._sample(snapshot))
         voltage = to_voltage(load_input, self.load.input_gain, self.load.input_exponent)
         trusted = state.accepted and state.watch.fallback == monitor.Fallback.NONE
-        kept = trusted and settings.exact and state.estimator.method.physical
+        kept = trusted and settings.exact and state.estimator.physical
         self._note_reach()
-        law = _ADAPTIVE if state.adaptive else signals.Mode.FIXED
-        taps = len(state.inputs)
-        gains = state.adaptive_gains if state.adaptive else state.fixed_gains
+        mode, gains = signals.Mode.FIXED, state.fixed_gains
+        if state.adaptive and state.law is not None:
+            mode, gains = _ADAPTIVE, state.law.quiet_gains
         return signals.Decision(
             k=snapshot.k,
             boost_reference_V=voltage,
-            controller=_MANUAL if snapshot.order.mode is _MANUAL else law,
+            controller=_MANUAL if snapshot.order.mode is _MANUAL else mode,
             accepted=state.accepted,
             reason=reason(
                 state, settings.supervision, settings.probing, self.load, snapshot.order.mode
             ),
             estimates=self._estimates(),
-            gains=(*gains, sum(gains[taps:])),
+            gains=(*gains, sum(gains[len(state.inputs) :])),
             innovation=state.estimator.innovation,
             excitation=state.estimator.excitation,
             handover_step_V=state.handover_step,
@@ -143,7 +145,7 @@ class Controller:
         """
         settings, load, state = self.settings, self.load, self.state
         if state.accepted:
-            self._reach = setpoints.estimated_reach(settings.learning, load, settings.stage, state)
+            self._reach = setpoints.estimated_reach(load, settings.stage, state)
         elif not state.supervisor.trusted:
             self._reach = setpoints.nominal_reach(load, settings.stage)
 
@@ -197,14 +199,13 @@ class Controller:
         if self.trusted is not None:
             self.settings = _recalling(self.settings)
         first_V = held_V if load.charging is None else rest_V
-        self.state = state = new_slow_state(self.settings, load, output, first_V)
+        self.state = state = SlowState(self.settings, load, output, first_V)
         # v_bst may hold the load at another output than this: the other lag of the response
         # watch begins there, so that a load which rests where it is need not move
         state.watch.slow = load.gain * self._to_input(measurement.boost_voltage_V)
         self._reach = setpoints.nominal_reach(load, self.settings.stage)
-        if self.trusted is not None:
-            learning = self.settings.learning
-            estimator.start_from(state.estimator, learning, load, list(self.trusted))
+        if self.trusted is not None and isinstance(state.estimator, LambdaEstimator):
+            state.estimator.start_from(list(self.trusted))
             state.recalled = True
 
     def _unfed(self, output: float, voltage_V: float) -> tuple[float, float]:
@@ -272,9 +273,9 @@ class Controller:
         current_A = battery.proven_current(charging, measurement.output, voltage_V, power_W)
         return battery.boost_voltage(charging, share, current_A)
 
-    def _sample(self, snapshot: Snapshot) -> regression.SlowSample:
+    def _sample(self, snapshot: Snapshot) -> signals.SlowSample:
         stage = self.settings.stage
-        return regression.SlowSample(
+        return signals.SlowSample(
             period_s=snapshot.period_s,
             output=snapshot.output,
             output_filtered=list(snapshot.output_filtered),
@@ -303,15 +304,13 @@ class Controller:
         state, load, learning = self.state, self.load, self.settings.learning
         deviations = [math.nan] * len(load.names)
         if math.isfinite(state.values[0]):
-            deviations = state.estimator.method.shown_deviations(
-                state.estimator, learning, load, state.values
-            )
+            deviations = state.estimator.shown_deviations(state.values)
         estimates = {
             name: signals.Estimate(value, deviation)
             for name, value, deviation in zip(load.names, state.values, deviations, strict=True)
         }
         if learning.bias:
-            offset = state.estimator.method.input_offset(state.estimator, learning, load)
+            offset = state.estimator.input_offset()
             estimates["input_offset"] = signals.Estimate(offset, math.nan)
         return estimates
 

@@ -1,7 +1,6 @@
 """Settings of the controller, fixed when it is built."""
 
 import math
-import sys
 from dataclasses import dataclass, field
 
 
@@ -113,7 +112,7 @@ class SupervisionLimits:
         warm_up_periods: Slow periods after start before adaptive may take over.
         ratio_min: Smallest accepted parameter, over its nominal value.
         ratio_max: Largest accepted parameter, over its nominal value.
-        patience_periods: Refused estimates in a row that the trusted gains survive.
+        revokes: Whether a refused estimate ends the trust in the one before.
         damping_min: Smallest damping of a load of second order.
         spread_max: How far the response to a step may be off within the covariance of the
             estimate, as a share of the step.
@@ -135,7 +134,7 @@ class SupervisionLimits:
     warm_up_periods: int
     ratio_min: float = -math.inf
     ratio_max: float = math.inf
-    patience_periods: int = sys.maxsize
+    revokes: bool = False
     damping_min: float = 0.0
     spread_max: float = 0.0
     residual_margin: float = 0.0

@@ -6,7 +6,7 @@ is annotated with a `Quantity` is a column of the messages and of the recording.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Self
 
@@ -200,6 +200,53 @@ class Snapshot:
         float, Quantity("y", "standard deviation of the rounding error of a slow sample")
     ] = 0.0
     upcoming: tuple[float, ...] = ()
+
+
+@dataclass(slots=True)
+class SlowSample:
+    """Input of the slow half in each period.
+
+    Attributes:
+        period_s: T_k.
+        output: y[k].
+        output_filtered: λy ... λ^m y.
+        input_filtered: u, λu ... λ^m u.
+        applied: Input applied over the elapsed period, NaN while unknown.
+        followed: False where a limit kept the drive from following.
+        held_share: Share of the elapsed ticks without a fresh measurement.
+        reference: r[k].
+        adaptive: True when the operator asks for the adaptive controller.
+        pole: Pole asked for.
+        low: Lowest input.
+        high: Highest input.
+        manual: True when the operator sets the input.
+        held: Input in force that the operator has set in the elapsed period, NaN for none.
+        steady: Whether r is a constant set-point.
+        lowest: Lowest output that V_c can hold, NaN while unknown.
+        highest: Highest output that V_c can hold, NaN while unknown.
+        rounding: Standard deviation of the rounding error of the output.
+        upcoming: r[k+1] and the following ones that preview knows, empty for none.
+    """
+
+    period_s: float
+    output: float
+    output_filtered: list[float]
+    input_filtered: list[float]
+    applied: float
+    followed: bool
+    held_share: float
+    reference: float
+    adaptive: bool
+    pole: float
+    low: float
+    high: float
+    manual: bool = False
+    held: float = math.nan
+    steady: bool = False
+    lowest: float = -math.inf
+    highest: float = math.inf
+    rounding: float = 0.0
+    upcoming: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ on the history that both laws share.
 import math
 
 from adaptdrive.control import thresholds, vectors
-from adaptdrive.control.design import pole_placement
+from adaptdrive.control.design.pole_placement import Plant, discrete_model, reference_lead
 from adaptdrive.control.design.reference import (
     condition_reference,
     filter_reference,
@@ -28,15 +28,14 @@ from adaptdrive.control.design.reference import (
     reference_of,
     rest,
 )
-from adaptdrive.control.estimation import uncertainty
-from adaptdrive.control.estimation.estimator import update_estimate
-from adaptdrive.control.estimation.regression import SlowSample
-from adaptdrive.control.estimation.rls import predict
+from adaptdrive.control.estimation.estimator import LambdaEstimator
 from adaptdrive.control.loads.battery import begin_anew, taper, terminal_voltage
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
-from adaptdrive.control.supervision import monitor, redesign, setpoints, supervisor
+from adaptdrive.control.signals import SlowSample
+from adaptdrive.control.supervision import monitor, redesign, setpoints
 from adaptdrive.control.supervision.state import SlowState
+from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive.control.vectors import Vector
 
 # The load loop's control law, on a history that every law shares.
@@ -92,14 +91,14 @@ def slow_step(
         The load's input u[k] after limits.
     """
     _note_applied(state, sample)
-    _take_sample(settings, load, state, sample)
+    _take_sample(settings, state, sample)
     supervision = settings.supervision
     _design_fixed(settings, load, state, sample)
     redesign.adapt(settings, load, state, sample)
     governed = _governed_reference(load, state, sample)
     reference = setpoints.probe(settings.probing, load, state, sample, governed)
-    _look_at_loop(settings, load, state, sample, reference)
-    lead = pole_placement.reference_lead(settings, load)
+    _look_at_loop(load, state, sample, reference)
+    lead = reference_lead(settings, load)
     led = lead_reference(reference, state.reference, lead)
     planned = _look_ahead(settings, load, state, sample, reference, lead)
     state.reference = reference
@@ -130,23 +129,21 @@ def _look_ahead(
         reference: r[k].
         lead: d.
     """
-    alone = state.blend >= 1.0 and sample.adaptive and load.charging is None
-    known = len(sample.upcoming) > 0 and state.supervisor.verdict == supervisor.Verdict.TRUSTED
-    if not (known and alone and settings.exact):
+    law, alone = state.law, state.blend >= 1.0 and sample.adaptive and load.charging is None
+    known = len(sample.upcoming) > 0 and state.supervisor.verdict == Verdict.TRUSTED
+    if law is None or not (known and alone and settings.exact):
         rest(state.reference_filter)
         return math.nan
-    references = led_references(reference, state.reference, sample.upcoming, lead)
     return plan(
         state.reference_filter,
-        state.trusted_a,
-        state.trusted_b,
-        references,
+        law.plant,
+        led_references(reference, state.reference, sample.upcoming, lead),
         state.sent,
-        not state.saturated,
-        sample.pole,
-        sample.low,
-        sample.high,
-        settings.supervision.confidence * state.input_noise,
+        free=not state.saturated,
+        pole=sample.pole,
+        low=sample.low,
+        high=sample.high,
+        beyond=settings.supervision.confidence * law.quiet_noise,
     )
 
 
@@ -164,8 +161,8 @@ def _note_applied(state: SlowState, sample: SlowSample) -> None:
 
 def _condition(state: SlowState, shortage: float) -> None:
     """Let the reference filter continue from an input that is short of what its law decided."""
-    if state.blend >= 1.0:
-        gain = vectors.total(state.adaptive_gains[len(state.inputs) :])
+    if state.blend >= 1.0 and state.law is not None:
+        gain = vectors.total(state.law.quiet_gains[len(state.inputs) :])
         condition_reference(state.reference_filter, shortage, gain)
 
 
@@ -181,25 +178,14 @@ def _follow_hand(state: SlowState, sample: SlowSample) -> float:
     return sample.held
 
 
-def _take_sample(
-    settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
-) -> None:
-    learning, estimator = settings.learning, state.estimator
-    estimator.sample.time_s += sample.period_s
-    charged = sample.output / learning.output_scale * sample.period_s
-    estimator.charge += charged / learning.tau_lambda_s
-    estimator.sample.rounding = sample.rounding / learning.output_scale
-    estimator.method.fill_regressor(
-        estimator, learning, load, sample, (state.outputs, state.inputs)
-    )
-    moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
+def _take_sample(settings: ControllerSettings, state: SlowState, sample: SlowSample) -> None:
+    estimator = state.estimator
+    moved = abs(sample.output - state.outputs[0]) >= settings.learning.dead_band
     usable = moved and sample.held_share <= thresholds.LOST_SHARE
-    update_estimate(estimator, learning, load, sample.output, usable)
-    if estimator.method.physical:
-        learnt = estimator.sample
-        fixed = learnt.target - predict(state.nominal_theta, learnt.regressor)
-        own = uncertainty.own_residual(estimator, learning)
-        supervisor.compare_residuals(state.supervisor, own, fixed)
+    estimator.take_sample(sample, state.outputs, state.inputs, usable=usable)
+    if isinstance(estimator, LambdaEstimator):
+        fixed = estimator.nominal_innovation()
+        state.supervisor.compare_residuals(estimator.residual(), fixed)
     vectors.shift_in(state.outputs, sample.output)
 
 
@@ -210,10 +196,8 @@ def _design_fixed(
     if not drifted and sample.pole == state.pole:
         return
     numerator, denominator = list(load.numerator), list(load.denominator)
-    a, b = pole_placement.discrete_model(settings, load, numerator, denominator, sample.period_s)
-    vectors.copy_into(
-        state.fixed_gains, pole_placement.compensator_gains(a, b, load.order, sample.pole)
-    )
+    plant = Plant(*discrete_model(settings, load, numerator, denominator, sample.period_s))
+    state.fixed_gains = plant.gains(plant.asked(sample.pole))
     state.period_s, state.pole = sample.period_s, sample.pole
 
 
@@ -230,43 +214,29 @@ def _governed_reference(load: Load, state: SlowState, sample: SlowSample) -> flo
     return taper(charging, state.charge, sample.reference, terminal_V, sample.output)
 
 
-def _look_at_loop(
-    settings: ControllerSettings,
-    load: Load,
-    state: SlowState,
-    sample: SlowSample,
-    reference: float,
-) -> None:
+def _look_at_loop(load: Load, state: SlowState, sample: SlowSample, reference: float) -> None:
     """Return to the fixed controller, and stay there, when the loop is in trouble."""
-    supervision, watch, saturated = settings.supervision, state.watch, state.saturated
-    error = reference - sample.output
-    strayed = _expected_output(state, sample, reference) - sample.output
-    distance = setpoints.distance_from_rest(settings.learning, load, state, sample.output)
-    reason = monitor.monitor_loop(
-        watch, supervision, error, strayed, distance, sample.pole, sample.held_share, saturated
+    watch, output, saturated = state.watch, sample.output, state.saturated
+    watch.check(
+        error=reference - output,
+        strayed=_expected_output(state, sample, reference) - output,
+        rest_distance=setpoints.distance_from_rest(load, state, output),
+        pole=sample.pole,
+        held_share=sample.held_share,
+        saturated=saturated,
+        asked=sample.adaptive,
     )
-    monitor.latch_fallback(watch, reason, sample.adaptive)
-    _look_for_cycle(supervision, state, sample)
+    span = sample.high - sample.low
+    state.cycling = state.cycles.check(
+        position=(state.sent - sample.low) / span if span > 0.0 else 0.5,
+        reference=sample.reference + state.probe.shift,
+        better=state.supervisor.moves_better_than_nominal(),
+        fixed=not (state.adaptive or sample.manual),
+    )
     if load.charging is not None and state.sent < sample.high:
         saturated = False  # below its own voltage a battery answers no input
-    expected = load.gain * state.sent
-    lag_periods = load.lag_s / sample.period_s
-    output = sample.output
-    state.unresponsive = monitor.monitor_response(
-        watch, supervision, expected, lag_periods, output, saturated
-    )
-
-
-def _look_for_cycle(supervision: SupervisionLimits, state: SlowState, sample: SlowSample) -> None:
-    """Look for a limit cycle under the fixed controller."""
-    span = sample.high - sample.low
-    position = (state.sent - sample.low) / span if span > 0.0 else 0.5
-    better = supervisor.moves_better_than_nominal(state.supervisor)
-    fixed = not (state.adaptive or sample.manual)
-    reference = sample.reference + state.probe.shift
-    state.cycling = monitor.monitor_limit_cycle(
-        state.cycles, position, reference, supervision.swing_min, better, fixed
-    )
+    expected, lag_periods = load.gain * state.sent, load.lag_s / sample.period_s
+    state.unresponsive = watch.check_response(expected, lag_periods, output, saturated)
 
 
 def _expected_output(state: SlowState, sample: SlowSample, reference: float) -> float:
@@ -304,15 +274,21 @@ def _act(
     highest: float,
 ) -> float:
     """Both laws on the shared history; what is sent is limited and remembered."""
+    law, inputs, outputs = state.law, state.inputs, state.outputs
     sound = state.supervisor.trusted and state.watch.fallback == monitor.Fallback.NONE
-    state.adaptive = sample.adaptive and sound
-    fixed = control_law(state.fixed_gains, state.inputs, state.outputs, reference)
-    filtered = filter_reference(state.reference_filter, reference, planned)
-    quiet = control_law(state.adaptive_gains, state.inputs, state.outputs, filtered)
-    other = _fast_law(state, quiet)
-    ready = vectors.total(state.adaptive_gains) != 0.0
+    state.adaptive = sample.adaptive and sound and law is not None
+    fixed = control_law(state.fixed_gains, inputs, outputs, reference)
+    filtered, quiet, other = (
+        filter_reference(state.reference_filter, reference, planned),
+        fixed,
+        fixed,
+    )
+    if law is not None:
+        quiet = control_law(law.quiet_gains, inputs, outputs, filtered)
+        filtered = reference_of(law.fast_loop, state.reference_filter.course)
+        other = control_law(law.fast_gains, inputs, outputs, filtered)
     step = fixed - other if state.adaptive else other - fixed
-    state.handover_step = step if ready else math.nan
+    state.handover_step = step if law is not None else math.nan
     wanted = _blended(supervision, state, fixed, other)
     if not math.isfinite(wanted):
         wanted = state.sent
@@ -320,14 +296,6 @@ def _act(
     state.saturated, state.sent = limited != wanted, limited
     _remember(supervision, state, wanted, quiet, sample.low, highest)
     return limited
-
-
-def _fast_law(state: SlowState, quiet: float) -> float:
-    """Return u[k] of the fast adaptive law, before limits; the quiet one before a design."""
-    if vectors.total(state.fast_loop) == 0.0:
-        return quiet
-    filtered = reference_of(state.fast_loop, state.reference_filter.course)
-    return control_law(state.fast_gains, state.inputs, state.outputs, filtered)
 
 
 def _remember(
@@ -345,22 +313,18 @@ def _remember(
     The course gives way to a limit that the response to the reference needs, as the quiet law has
     it, not to one that a correction needs.
     """
-    share = supervision.confidence if state.blend >= 1.0 else 0.0
-    beyond = share * state.input_noise
-    _condition(state, min(max(quiet, lowest - beyond), highest + beyond) - quiet)
-    beyond = share * max(state.input_noise, state.fast_noise)
+    law, beyond = state.law, 0.0
+    if law is not None and state.blend >= 1.0:
+        beyond = supervision.confidence * law.quiet_noise
+        _condition(state, min(max(quiet, lowest - beyond), highest + beyond) - quiet)
+        beyond = max(beyond, supervision.confidence * law.fast_noise)
     vectors.shift_in(state.inputs, min(max(wanted, lowest - beyond), highest + beyond))
 
 
 def _blended(supervision: SupervisionLimits, state: SlowState, fixed: float, other: float) -> float:
     """From one law to the other over some periods, so that even with an error nothing jumps."""
     share = 1.0 / supervision.blend_periods
-    if state.adaptive:
-        state.blend = min(1.0, state.blend + share)
-    else:
-        state.blend = max(0.0, state.blend - share)
-    if state.blend <= 0.0:
-        return fixed
-    if state.blend >= 1.0:
-        return other
+    state.blend = min(max(0.0, state.blend + (share if state.adaptive else -share)), 1.0)
+    if state.blend in {0.0, 1.0}:  # no rounding, and no law that is not in force
+        return other if state.blend else fixed
     return fixed + state.blend * (other - fixed)

@@ -16,15 +16,16 @@ WINDOW = 2 * EARLIEST
 MEMORY = 60.0
 """Samples that an estimate remembers: 1/(1 - ρ) is 67 with the forgetting factor by default."""
 
-LIFE = 150
-"""Samples after which a branch that has not become the estimate ends: what has not shown by then is
-none of the change that split it off."""
+LIFE = 3.0 * MEMORY
+"""Samples after which a branch that has not become the estimate ends: it has forgotten the change
+that split it off."""
 
 CLEAR = 10.0
 """Lead that decides between two estimates: odds of e^10, 22,000 to 1."""
 
 RARE = 5.0
-"""Log odds against a disturbance at an alarm, 150 to 1: it may be noise."""
+"""Log odds against a disturbance at an alarm, 150 to 1: it may be noise. From such a lead on
+another branch is the estimate."""
 
 RARER = 9.0
 """Log odds against a load, and against a disturbance with it: 8,000 to 1."""
@@ -38,9 +39,6 @@ NOISE_FLOOR = 1.0e-8
 UNKNOWN = 2.0 * PRIOR_SHARE
 """Deviation of a scaled parameter that may be any: two more disks move α of a motor by 0.7, and
 two deviations of what is known before samples are all of it."""
-
-PRIOR_SAMPLES = 4.0
-"""Weight of σ0²: as little as leaves the likelihood finite variance."""
 
 LOST_SHARE = 0.1
 """Share of the ticks of a slow period above which stand-ins make a sample that teaches nothing, and

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.signal import lfilter
 
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.settings import (
@@ -19,7 +18,15 @@ from adaptdrive.control.settings import (
     Rates,
     SupervisionLimits,
 )
-from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Stage
+from adaptdrive.control.signals import (
+    Command,
+    Decision,
+    Measurement,
+    Mode,
+    Order,
+    SlowSample,
+    Stage,
+)
 from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
@@ -83,11 +90,17 @@ SCALED_LEARNING = replace(
     input_scale=280.0,
     start_at_nominal=True,
 )
-JACKET = SupervisionLimits(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_periods=30)
+JACKET = SupervisionLimits(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, revokes=True)
 EXACT = ControllerSettings(
     exact=True, stage=STAGE, rates=RATES, learning=SCALED_LEARNING, supervision=JACKET
 )
-PAPER = replace(EXACT, exact=False, rates=replace(RATES, samples=1), learning=PLAIN_LEARNING)
+PAPER = replace(
+    EXACT,
+    exact=False,
+    rates=replace(RATES, samples=1),
+    learning=PLAIN_LEARNING,
+    supervision=replace(JACKET, revokes=False),
+)
 
 
 def order(

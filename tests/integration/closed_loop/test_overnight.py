@@ -10,11 +10,11 @@ import pytest
 
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import load_configuration
-from adaptdrive.control.estimation import rls
 from adaptdrive.control.signals import Measurement, Mode
 from adaptdrive_sim.world import NoiseParameters
 from tests.integration.closed_loop.bench import HIGH, LOW, STEP, Bench, CYCLE_s, order, square_wave
 from tests.support import sample
+from tests.unit.control.learning import dense
 
 DAEMON = controller_settings(
     load_configuration(Path(__file__).parents[3] / "deploy/examples/motor.toml")
@@ -24,10 +24,7 @@ TRUTH = {"gain": 0.011, "tau_sum_s": 21.7, "tau_product_s2": 117.0}
 
 
 def covariance_trace(bench: Bench) -> float:
-    estimator = bench.controller.state.estimator
-    count = len(estimator.estimate.theta)
-    flat = rls.covariance(estimator.estimate.upper, estimator.estimate.diagonal)
-    return float(np.trace(np.reshape(flat, (count, count))))
+    return float(np.trace(dense(bench.controller.state.estimator.estimate)))
 
 
 class QuantisedBench(Bench):

@@ -14,7 +14,7 @@ from adaptdrive.app.examine import implausible
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings, operator_profile
 from adaptdrive.config import Configuration, load_configuration
-from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
+from adaptdrive.control.design.pole_placement import Plant, discrete_model
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive.runtime.requests import SetPole
 from adaptdrive.runtime.state_machine import Machine
@@ -44,7 +44,8 @@ def worst_radius(configuration: Configuration, pole: float, error: float) -> flo
         discrete_model(settings, load, *load.realise(list(np.multiply(values, shares))), period_s)
         for shares in itertools.product((1.0, 1.0 - error, 1.0 + error), repeat=len(values))
     ]
-    gains = compensator_gains(*models[0], load.order, pole)
+    nominal = Plant(*models[0])
+    gains = nominal.gains(nominal.asked(pole))
     taps = len(gains) - load.order - 1
     radii = []
     for a, b in models:

@@ -49,7 +49,7 @@ def test_in_watts_of_a_bath() -> None:
 STRICT = {
     "supervisor__ratio_min": "0.9",
     "supervisor__ratio_max": "1.1",
-    "supervisor__patience_periods": "3",
+    "supervisor__dwell_periods": "3",
     "supervisor__blend_periods": "9",
     "supervisor__error_limit": "0.1",
     "estimator__gate": "3.0",
@@ -80,10 +80,12 @@ def test_the_papers_design_has_the_papers_numbers_and_no_limits() -> None:
         input_scale=1.0,
         start_at_nominal=False,
     )
-    assert settings.supervision == SupervisionLimits(
-        90, -math.inf, math.inf, settings.supervision.patience_periods
-    )
-    assert settings.supervision.patience_periods * 1.0 > 10 * 365 * 86_400.0
+    assert settings.supervision == SupervisionLimits(90, -math.inf, math.inf, revokes=False)
+
+
+def test_a_refused_estimate_ends_the_trust_in_the_exact_design_alone() -> None:
+    assert controller_settings(parse()).supervision.revokes
+    assert not controller_settings(parse(load__design='"paper"')).supervision.revokes
 
 
 def test_rho_left_out_is_that_of_the_design_and_of_the_load() -> None:

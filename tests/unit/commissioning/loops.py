@@ -11,10 +11,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.commissioning.proposal import propose
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.design.pole_placement import (
-    compensator_gains,
-    discrete_model,
-)
+from adaptdrive.control.design.pole_placement import Plant, discrete_model
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive_sim.parameters import EXAMPLES
@@ -45,9 +42,9 @@ def loop_around(draw: Draw, identified: IdentifiedLoad) -> Loop:
     a, b = _model(proposed.configuration, 0.0)
     configuration = reconfigured(draw.text, _FILE, [*options, *true])
     true_a, true_b = _model(configuration, draw.delay_steps * draw.step_s)
-    order, section = build_load(proposed.configuration).order, proposed.configuration.load
-    gains = compensator_gains(a, b, order, section.pole)
-    taps = len(gains) - order - 1
+    plant = Plant(a, b)
+    gains = plant.gains(plant.asked(proposed.configuration.load.pole))
+    taps = len(gains) - plant.order - 1
     r, s = [1.0, *gains[:taps]], gains[taps:]
     closed = [
         np.polyadd(np.convolve(one_a, r)[::-1], np.convolve(one_b, s)[::-1])[::-1]

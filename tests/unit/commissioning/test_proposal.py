@@ -14,11 +14,7 @@ from adaptdrive.commissioning.course import Samples
 from adaptdrive.commissioning.evaluation import evaluate, predict
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.commissioning.proposal import Proposal, propose
-from adaptdrive.control.design.pole_placement import (
-    closed_loop,
-    compensator_gains,
-    discrete_model,
-)
+from adaptdrive.control.design.pole_placement import Plant, discrete_model
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.identification import identify
 from adaptdrive.identification.excerpt import Excerpt
@@ -59,9 +55,9 @@ def roots(proposal: Proposal, factor: float) -> float:
     load, settings = build_load(configuration), controller_settings(configuration)
     section = configuration.load
     model = (list(load.numerator), list(load.denominator))
-    a, b = discrete_model(settings, load, *model, section.period_s)
-    gains = compensator_gains(a, b, load.order, section.pole)
-    closed = closed_loop(gains, a, [factor * one for one in b])
+    plant = Plant(*discrete_model(settings, load, *model, section.period_s))
+    gains = plant.gains(plant.asked(section.pole))
+    closed = Plant(plant.a, [factor * one for one in plant.b]).closed(gains)
     return float(np.abs(np.roots(closed)).max())
 
 

@@ -10,20 +10,18 @@ import numpy as np
 from scipy.signal import lfilter
 
 from adaptdrive.control import fast
-from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import regression
-from adaptdrive.control.estimation.methods import METHODS, direct_model, fill_direct_regressor
+from adaptdrive.control.estimation.direct import DirectEstimator
+from adaptdrive.control.estimation.estimator import LambdaEstimator
+from adaptdrive.control.estimation.rls import Estimate
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import EstimatorSettings
-from tests.integration.closed_loop.bench import SCALED_LEARNING
+from tests.integration.closed_loop.bench import AT_REST, SCALED_LEARNING
 from tests.unit.control.systems import Array
 
 
 def learn_course(
-    state: est.EstimatorState,
-    learning: EstimatorSettings,
-    load: Load,
+    estimator: LambdaEstimator,
     course: tuple[Array, Array],
     *,
     tick_s: float,
@@ -33,38 +31,39 @@ def learn_course(
     """Learn a course; yield the number of the tick after each slow period.
 
     Args:
-        state: The estimator.
-        learning: Its settings.
-        load: Its load.
+        estimator: What learns it.
         course: Voltage at the boost capacitor and output, at the ticks; at rest at first.
         tick_s: Duration of a tick.
         ticks: Ticks in a slow period.
         samples: The last ticks of a period, whose mean is learnt.
     """
     voltages, outputs = course
-    order, first = load.order, (float(outputs[0]), float(voltages[0]))
-    bank = fast.new_filter_bank(load, tick_s, learning.tau_lambda_s, *first)
+    load, first = estimator.load, (float(outputs[0]), float(voltages[0]))
+    bank = fast.new_filter_bank(load, tick_s, estimator.learning.tau_lambda_s, *first)
     for n in range(1, len(outputs)):
         fast.filter_sample(bank, float(outputs[n]), float(voltages[n]), 1)
         if (n - 1) % ticks >= ticks - samples:
             fast.accumulate(bank)
         if n % ticks == 0:
             y, *rest = fast.take_means(bank)
-            state.sample.time_s += ticks * tick_s
-            fill_sample(state, learning, load, y, outputs=rest[:order], inputs=rest[order:])
-            est.update_estimate(state, learning, load, y, usable=True)
+            learn_sample(estimator, ticks * tick_s, y, rest[: load.order], rest[load.order :])
             yield n
 
 
-def fill_sample(
-    state: est.EstimatorState, learning: EstimatorSettings, load: Load, y: float, *,
-    outputs: list[float], inputs: list[float],
-) -> None:  # fmt: skip
-    """Fill the regressor of the λ-method, and that with powers of λ one lower."""
-    regressor, elapsed_s = state.sample.regressor, state.sample.time_s - state.estimate.origin_s
-    regression.fill_filtered_regressor(regressor, learning, load, outputs, inputs)
-    regression.fill_initial_state(regressor, learning, load, elapsed_s)
-    regression.fill_lowered_regressor(state.sample.lowered, learning, load, y, outputs, inputs)
+def learn_sample(
+    estimator: LambdaEstimator, period_s: float, y: float, outputs: list[float], inputs: list[float]
+) -> None:
+    """Learn the output at the end of a slow period from λy ... λ^m y and u, λu ... λ^m u."""
+    sample = replace(
+        AT_REST, period_s=period_s, output=y, output_filtered=outputs, input_filtered=inputs
+    )
+    estimator.take_sample(sample, [], [], usable=True)
+
+
+def dense(estimate: Estimate) -> Array:
+    """P as a matrix."""
+    size = len(estimate.theta)
+    return np.reshape(estimate.covariance(), (size, size))
 
 
 WATCHED = replace(
@@ -101,9 +100,9 @@ def bath_temperatures(power_W: Array, inflow_K: Array, noise_K: Array) -> Array:
     return np.asarray(heated_K + cooled_K + noise_K)
 
 
-def bath_values(theta: list[float], learning: EstimatorSettings = BATH_LEARNING) -> list[float]:
+def bath_values(estimator: LambdaEstimator, theta: list[float]) -> list[float]:
     """R and τ of an estimate."""
-    return BATH.physical(*regression.filtered_model(theta, learning, BATH))
+    return BATH.physical(*estimator.regression.model(theta))
 
 
 def learn_sampled(
@@ -111,9 +110,9 @@ def learn_sampled(
 ) -> tuple[list[float], list[float]]:
     """Learn A and B directly from inputs that were held and the outputs at their ends."""
     order = load.order
-    state = est.new_estimator(METHODS[learning.method], learning, load, order)
+    estimator = DirectEstimator(learning, load, order)
     for k in range(order, len(inputs)):
-        past = outputs[k - order : k][::-1].tolist(), inputs[k - order : k][::-1].tolist()
-        fill_direct_regressor(state.sample.regressor, learning, load, *past)
-        est.update_estimate(state, learning, load, float(outputs[k]), usable=True)
-    return direct_model(state.estimate.theta, learning, load)
+        estimator.fill(outputs[k - order : k][::-1].tolist(), inputs[k - order : k][::-1].tolist())
+        estimator.take_output(float(outputs[k]), usable=True)
+    b, a = estimator.model()
+    return a, b

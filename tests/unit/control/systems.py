@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import companion
 from scipy.signal import cont2discrete
 
-from adaptdrive.control.design.pole_placement import equation, place
+from adaptdrive.control.design.pole_placement import Plant
 
 Array = NDArray[np.float64]
 
@@ -89,9 +89,11 @@ def impulse_invariant(
     return np.array([1.0, -sum(decays).real, np.prod(decays).real, 0.0, b1.real, 0.0])
 
 
-def place_poles(a: list[float], b: list[float], desired: list[float]) -> tuple[Any, Any]:
+def place_poles(
+    a: list[float], b: list[float], desired: list[float]
+) -> tuple[list[float], list[float]]:
     """R and S of the loop with the poles of a polynomial."""
-    return place(equation(a, b), a, b, desired)
+    return Plant(a, b).place(desired)
 
 
 def matrix_of(step: Callable[[Array], Array], size: int) -> Array:

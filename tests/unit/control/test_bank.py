@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass, field, replace
 
@@ -11,17 +10,17 @@ import pytest
 from scipy.signal import lsim
 from scipy.stats import norm
 
-from adaptdrive.control.estimation import bank, regression, uncertainty
-from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation.branch import Observation, new_branch, predict_sample
-from adaptdrive.control.estimation.change import ChangeDetector
-from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.estimation.regression import theta_of
+from adaptdrive.control import thresholds
+from adaptdrive.control.estimation.bank import Bank
+from adaptdrive.control.estimation.change import Branch, ChangeDetector
+from adaptdrive.control.estimation.estimator import LambdaEstimator
+from adaptdrive.control.estimation.regression import Observation, Regression
 from tests.integration.closed_loop.bench import MOTOR
-from tests.unit.control.learning import WATCHED, fill_sample
+from tests.unit.control.learning import WATCHED, learn_sample
 from tests.unit.control.systems import Array
 
 LEARNING = replace(WATCHED, settle_periods=5)
+REGRESSION = Regression(LEARNING, MOTOR)
 STEP_s, TAU_s, STEPS = 0.02, 10.0, 50
 CHANGE_s, END_s = 200, 320
 NOISE = 3e-4
@@ -58,7 +57,7 @@ def lagged(signal: Array, *, held: bool) -> Array:
 class Seen:
     """What was seen of the estimator in each slow period."""
 
-    state: est.EstimatorState
+    estimator: LambdaEstimator
     values: list[list[float]] = field(default_factory=list)
     shown: list[list[float]] = field(default_factory=list)
     doubtful: list[bool] = field(default_factory=list)
@@ -71,7 +70,7 @@ def learn_course(voltages: Array, outputs: Array, spike: float = 0.0) -> Seen:
     y1, u1 = lagged(outputs, held=False), lagged(voltages, held=True)
     y2, u2 = lagged(y1, held=False), lagged(u1, held=False)
     random = np.random.default_rng(4)
-    seen = Seen(est.new_estimator(METHODS[LEARNING.method], LEARNING, MOTOR, 2))
+    seen = Seen(LambdaEstimator(LEARNING, MOTOR, 2))
     for second in range(1, END_s):
         n = second * STEPS
         output = float(noisy[n] + NOISE * random.normal())
@@ -82,16 +81,14 @@ def learn_course(voltages: Array, outputs: Array, spike: float = 0.0) -> Seen:
 
 
 def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> None:
-    state = seen.state
-    state.sample.time_s += 1.0
-    fill_sample(state, LEARNING, MOTOR, output, outputs=y, inputs=u)
-    est.update_estimate(state, LEARNING, MOTOR, output, usable=True)
-    values = MOTOR.physical(*regression.filtered_model(state.estimate.theta, LEARNING, MOTOR))
+    estimator = seen.estimator
+    learn_sample(estimator, 1.0, output, y, u)
+    values = MOTOR.physical(*REGRESSION.model(estimator.estimate.theta))
     seen.values.append(values)
-    seen.shown.append(METHODS[LEARNING.method].shown_deviations(state, LEARNING, MOTOR, values))
-    seen.doubtful.append(uncertainty.is_doubtful(state))
-    seen.branches.append(len(state.bank.branches))
-    seen.alarms.append(state.detector.alarms)
+    seen.shown.append(estimator.shown_deviations(values))
+    seen.doubtful.append(estimator.is_doubtful())
+    seen.branches.append(len(estimator.bank.branches))
+    seen.alarms.append(estimator.detector.alarms)
 
 
 def truth(disks: float) -> Array:
@@ -130,7 +127,7 @@ def test_a_torque_is_noticed_and_leaves_the_load_as_it_was(torque: Seen) -> None
     assert torque.alarms[CHANGE_s - 2] == 0
     assert torque.alarms[CHANGE_s + 30] >= 1
     assert max(error(values, 2.0) for values in torque.values[CHANGE_s:]) < 0.1
-    offset_V = regression.input_offset(torque.state.estimate.theta, LEARNING, MOTOR, 0.0)
+    offset_V = REGRESSION.input_offset(torque.estimator.estimate.theta, 0.0)
     assert offset_V == pytest.approx(-25.0, rel=0.1)
 
 
@@ -154,7 +151,7 @@ def test_while_it_is_explained_the_load_is_in_doubt_and_shown_so(other_load: See
 
 def parameters(disks: float, offset_V: float) -> Array:
     """θ of the motor, with an offset of the input and no initial state."""
-    values = theta_of(LEARNING, MOTOR, *MOTOR.realise(truth(disks).tolist()))
+    values = REGRESSION.theta_of(*MOTOR.realise(truth(disks).tolist()))
     return np.array([*values, 0.0, 0.0, values[2] * offset_V / LEARNING.input_scale])
 
 
@@ -180,67 +177,67 @@ def test_what_a_change_leaves_follows_from_the_change(
     np.testing.assert_allclose((y - plain @ new)[change:], left, atol=2e-5)
 
 
-def two_branches(outputs: tuple[float, float]) -> tuple[bank.Bank, ChangeDetector, Observation]:
+def two_branches(outputs: tuple[float, float]) -> tuple[Bank, ChangeDetector, Observation]:
     """A settled bank of two branches that predict these outputs, the first with the smaller P."""
-    learning = replace(LEARNING, gate=0.0)
-    state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
-    branches, detector, sample = state.bank, state.detector, state.sample
+    regression = Regression(replace(LEARNING, gate=0.0), MOTOR)
+    bank, detector, sample = Bank(regression), ChangeDetector(), Observation(regression.size)
     detector.samples, detector.power = 100, 4e-6
-    branches.branches.append(copy.deepcopy(branches.estimate))
+    bank.branches.append(Branch(regression))
     sample.regressor[-1] = 1.0
-    for one, output, variance in zip(branches.branches, outputs, (0.5, 40.0), strict=True):
+    for one, output, variance in zip(bank.branches, outputs, (0.5, 40.0), strict=True):
         one.theta[:], one.diagonal[:], one.age = [0.0] * 5 + [output], [variance] * 6, 20
-    return branches, detector, sample
+    return bank, detector, sample
 
 
 @pytest.mark.parametrize("output", [0.0, 0.001, -0.003, 0.008])
 def test_branches_are_weighed_by_the_densities_of_their_predictions(output: float) -> None:
     """With P in σ², what is predicted has the variance σ² (ρ + rᵀPr)/ρ of a forgetting filter."""
-    branches, detector, sample = two_branches((0.0, 0.001))
+    bank, detector, sample = two_branches((0.0, 0.001))
     sample.target = output
-    first, second = branches.branches
+    first, second = bank.branches
     rho, power = LEARNING.forgetting, detector.power
-    predict_sample(first, LEARNING, MOTOR, sample)
+    first.predict_sample(sample)
     length = float(np.dot(sample.regressor, sample.regressor))
-    bank.learn_branches(branches, detector, LEARNING, MOTOR, sample)
+    bank.learn(detector, sample)
     deviations = [math.sqrt(power * (rho + variance * length) / rho) for variance in (0.5, 40.0)]
     expected = norm.logpdf(output, 0.001, deviations[1]) - norm.logpdf(output, 0.0, deviations[0])
     assert second.score - first.score == pytest.approx(expected, abs=1e-9)
 
 
 def test_however_many_alarms_there_are_the_bank_keeps_its_size_and_its_estimate() -> None:
-    branches, detector, sample = two_branches((0.0, 0.001))
+    bank, detector, sample = two_branches((0.0, 0.001))
     random = np.random.default_rng(3)
     for second in range(60):
         sample.time_s, sample.target = float(second), float(random.normal())
-        predict_sample(branches.estimate, LEARNING, MOTOR, sample)
-        bank.learn_branches(branches, detector, LEARNING, MOTOR, sample)
-        assert 1 <= len(branches.branches) <= 12
-        assert any(one is branches.estimate for one in branches.branches)
-        assert max(one.score for one in branches.branches) == 0.0
+        bank.estimate.predict_sample(sample)
+        bank.learn(detector, sample)
+        assert 1 <= len(bank.branches) <= 12
+        assert any(one is bank.estimate for one in bank.branches)
+        assert max(one.score for one in bank.branches) == 0.0
     assert detector.alarms > 3
 
 
 def test_a_branch_ends_when_it_is_improbable_and_not_before_ten_samples() -> None:
-    branches, detector, sample = two_branches((0.0, 0.02))
-    second = branches.branches[1]
+    bank, detector, sample = two_branches((0.0, 0.02))
+    second = bank.branches[1]
     second.diagonal[:], second.age = [0.5] * 6, 0
     lengths = []
     for _ in range(12):
-        predict_sample(branches.estimate, LEARNING, MOTOR, sample)
+        bank.estimate.predict_sample(sample)
         sample.regressor[-1], second.theta[-1] = 1.0, 0.02
-        bank.learn_branches(branches, detector, LEARNING, MOTOR, sample)
-        lengths.append(len(branches.branches))
+        bank.learn(detector, sample)
+        lengths.append(len(bank.branches))
     assert lengths == [2] * 10 + [1] * 2
 
 
-def test_an_estimate_of_any_age_that_falls_behind_is_still_followed() -> None:
-    """Odds of 20 to 1 change the estimate, and only clear odds end a branch."""
-    for age in (100, 151):
-        known = bank.new_bank(4)
-        before, other = known.estimate, new_branch(4)
-        before.age, before.score, other.age, other.score = age, -3.1, 3, 0.0
+@pytest.mark.parametrize("age", [100, 151])
+def test_an_estimate_of_any_age_that_falls_behind_is_still_followed(age: int) -> None:
+    """Odds of e^5 change the estimate, and only clear odds end a branch."""
+    for lead, changes in ((0.98, False), (1.02, True)):
+        known = Bank(REGRESSION)
+        before, other = known.estimate, Branch(REGRESSION)
+        before.age, before.score, other.age, other.score = age, -lead * thresholds.RARE, 3, 0.0
         known.branches.append(other)
-        assert bank._choose(known)
-        assert known.estimate is other
+        assert known._choose() is changes
+        assert known.estimate is (other if changes else before)
         assert any(one is before for one in known.branches)

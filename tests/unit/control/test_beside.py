@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptdrive.control.estimation import rls
+from adaptdrive.control.estimation.rls import Estimate
+from tests.unit.control.learning import dense
 from tests.unit.control.systems import Array
 
 COVARIANCE = 100.0
@@ -17,22 +18,13 @@ class Beside:
 
     def __init__(self, size: int, walks: int, walk: float, forgetting: float, gate: float) -> None:
         self.walks, self.walk, self.forgetting, self.gate = walks, walk, forgetting, gate
-        self.theta, self.upper, self.diagonal = [0.0] * size, [0.0] * size**2, [0.0] * size
-        rls.reset(self.theta, self.upper, self.diagonal, COVARIANCE)
+        self.own = Estimate(size)
+        self.own.open_up(COVARIANCE)
 
     def take(self, r: Array, target: float) -> None:
-        vectors = self.theta, self.upper, self.diagonal
-        forgetting, gate = self.forgetting, self.gate
-        rls.update_beside(*vectors, r.tolist(), target, forgetting, gate, self.walks)
+        self.own.update_beside(r.tolist(), target, self.forgetting, self.gate, self.walks)
         for i in range(len(r) - self.walks, len(r)):
-            direction = [0.0] * len(r)
-            direction[i] = 1.0
-            rls.widen(self.upper, self.diagonal, direction, self.walk**2)
-
-    @property
-    def covariance(self) -> Array:
-        size = len(self.theta)
-        return np.array(rls.covariance(self.upper, self.diagonal)).reshape(size, size)
+            self.own.widen_entry(i, self.walk**2)
 
 
 def kalman(filter_: Filter, r: Array, target: float, process: Array) -> Filter:
@@ -77,8 +69,8 @@ def test_without_forgetting_it_is_the_kalman_filter_of_a_random_walk(walks: int)
         r, target = random.normal(size=5), float(random.normal())
         found.take(r, target)
         expected = kalman(expected, r, target, process)
-    assert found.theta == pytest.approx(expected[0], rel=1e-7, abs=1e-9)
-    assert np.allclose(found.covariance, expected[1], rtol=1e-7, atol=1e-12)
+    assert found.own.theta == pytest.approx(expected[0], rel=1e-7, abs=1e-9)
+    assert np.allclose(dense(found.own), expected[1], rtol=1e-7, atol=1e-12)
 
 
 @pytest.mark.parametrize("walks", [1, 2])
@@ -91,8 +83,8 @@ def test_what_does_not_walk_is_forgotten_as_if_the_rest_were_integrated_out(walk
         found.take(r, target)
         wide = forgotten(expected[1], r, walks, 0.97)
         expected = kalman((expected[0], wide), r, target, process)
-    assert found.theta == pytest.approx(expected[0], rel=1e-7, abs=1e-9)
-    assert np.allclose(found.covariance, expected[1], rtol=1e-7, atol=1e-12)
+    assert found.own.theta == pytest.approx(expected[0], rel=1e-7, abs=1e-9)
+    assert np.allclose(dense(found.own), expected[1], rtol=1e-7, atol=1e-12)
 
 
 def test_eight_hours_at_rest_widen_nothing_but_the_walk() -> None:
@@ -100,11 +92,11 @@ def test_eight_hours_at_rest_widen_nothing_but_the_walk() -> None:
     random = np.random.default_rng(5)
     for _ in range(100):
         found.take(np.append(random.normal(size=3), 1.0), float(random.normal()))
-    known = np.diag(found.covariance)[:3].copy()
+    known = np.diag(dense(found.own))[:3].copy()
     for _ in range(30_000):
         found.take(np.array([1.0, -1.0, 0.5, 1.0]), float(random.normal()))
-    assert np.all(np.diag(found.covariance)[:3] < 10.0 * known)
-    assert all(np.isfinite(found.theta))
+    assert np.all(np.diag(dense(found.own))[:3] < 10.0 * known)
+    assert all(np.isfinite(found.own.theta))
 
 
 def test_a_walk_is_followed_and_a_change_of_the_rest_is_learnt() -> None:
@@ -115,9 +107,9 @@ def test_a_walk_is_followed_and_a_change_of_the_rest_is_learnt() -> None:
     biases: list[float] = []
     for sample, target in zip(r, targets, strict=True):
         found.take(sample, float(target))
-        errors.append(np.array(found.theta[:2]) - dynamics[len(errors)])
-        claimed.append(np.sqrt(np.diag(found.covariance)[:2]))
-        biases.append(found.theta[2])
+        errors.append(np.array(found.own.theta[:2]) - dynamics[len(errors)])
+        claimed.append(np.sqrt(np.diag(dense(found.own))[:2]))
+        biases.append(found.own.theta[2])
     off, sure = np.abs(np.array(errors)), np.array(claimed)
     for settled in (slice(100, 500), slice(650, 1000)):
         assert np.mean(off[settled] < 2.0 * sure[settled]) > 0.85
@@ -127,14 +119,14 @@ def test_a_walk_is_followed_and_a_change_of_the_rest_is_learnt() -> None:
 
 def test_forgetting_along_the_sample_alone_would_keep_the_old_dynamics() -> None:
     r, targets, dynamics, _ = drifting(1000, 0.5, 500)
-    along, beside = Beside(3, 1, 0.5, 0.97, 0.0), Beside(3, 1, 0.5, 0.97, 0.0)
+    along, beside = Estimate(3), Beside(3, 1, 0.5, 0.97, 0.0)
+    along.open_up(COVARIANCE)
     for sample, target in zip(r, targets, strict=True):
-        vectors = along.theta, along.upper, along.diagonal
-        rls.update_along(*vectors, sample.tolist(), float(target), 0.97)
-        rls.widen(along.upper, along.diagonal, [0.0, 0.0, 1.0], 0.25)
+        along.update_beside(sample.tolist(), float(target), 0.97, 0.0, 0)
+        along.widen_entry(2, 0.25)
         beside.take(sample, float(target))
-    wrong = [np.abs(np.array(one.theta[:2]) - dynamics[-1]) for one in (along, beside)]
-    sure = np.sqrt(np.diag(along.covariance)[:2])
+    wrong = [np.abs(np.array(one.theta[:2]) - dynamics[-1]) for one in (along, beside.own)]
+    sure = np.sqrt(np.diag(dense(along))[:2])
     assert np.all(wrong[0] > 25.0 * sure)
     assert np.all(wrong[1] < 0.1)
 
@@ -147,13 +139,13 @@ def test_a_sample_teaches_the_dynamics_from_its_limit_on(
     """With a diagonal P: x = r_d² P_dd, c = r_w² P_ww, and the limit is a share of 1 + c."""
     one = Beside(2, 1, 0.0, 0.97, gate)
     p_d, p_w, r_w = 0.25, 2.0, 1.5
-    one.diagonal[:] = p_d, p_w
+    one.own.diagonal[:] = p_d, p_w
     noise = 1.0 + r_w**2 * p_w
     r = np.array([np.sqrt(share * limit * noise / p_d), r_w])
     one.take(r, 1.0)
     if share > 1.0:
-        assert one.theta[0] > 0.0
-        assert one.covariance[0, 0] != pytest.approx(p_d, rel=1e-6)
+        assert one.own.theta[0] > 0.0
+        assert dense(one.own)[0, 0] != pytest.approx(p_d, rel=1e-6)
         return
-    assert one.theta == pytest.approx([0.0, p_w * r_w / noise])
-    assert one.covariance[0, 0] == pytest.approx(p_d, rel=1e-9)
+    assert one.own.theta == pytest.approx([0.0, p_w * r_w / noise])
+    assert dense(one.own)[0, 0] == pytest.approx(p_d, rel=1e-9)

@@ -9,22 +9,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from adaptdrive.control.design.pole_placement import (
-    asked_loop,
-    compensator_gains,
-    discrete_model,
-    possible_models,
-    response_spread,
-)
-from adaptdrive.control.estimation.branch import Branch
-from adaptdrive.control.estimation.estimator import EstimatorState, new_estimator, remember_residual
-from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.estimation.regression import filtered_model, theta_of
-from adaptdrive.control.estimation.uncertainty import (
-    correlation_factor,
-    deviations_of,
-    inflated_deviations,
-)
+from adaptdrive.control.design.pole_placement import Plant, discrete_model, possible_plants
+from adaptdrive.control.estimation.estimator import LambdaEstimator
+from adaptdrive.control.estimation.regression import Regression
+from adaptdrive.control.estimation.rls import Estimate
 from adaptdrive.control.settings import EstimatorSettings
 from tests.integration.closed_loop.bench import EXACT, MOTOR, SCALED_LEARNING
 from tests.unit.control.systems import Array
@@ -37,39 +25,41 @@ UNBIASED = replace(SCALED_LEARNING, tau_lambda_s=8.0)
 KINDS = [UNBIASED, replace(UNBIASED, bias=True), replace(UNBIASED, short_lag_s=10.0)]
 
 
-def estimate(learning: EstimatorSettings) -> Branch:
+def estimate(regression: Regression) -> Estimate:
     """θ of a motor with two disks, U and D, the last for a bias or cut to two parameters."""
-    theta = theta_of(learning, MOTOR, *MOTOR.realise(VALUES))
-    theta += [0.0] if learning.bias else []
-    size = len(theta)
+    size = regression.size
     upper = np.eye(size)
     part = min(size, 3)
     upper[:part, :part] = np.reshape(UPPER, (3, 3))[:part, :part]
-    return Branch(theta, list(upper.ravel()), [*DIAGONAL, 3e-5][:size])
+    one = Estimate(size)
+    one.theta[: regression.first] = regression.theta_of(*MOTOR.realise(VALUES))
+    one.upper[:], one.diagonal[:] = list(upper.ravel()), [*DIAGONAL, 3e-5][:size]
+    return one
 
 
-def physical(theta: Array, learning: EstimatorSettings) -> Array:
-    return np.array(MOTOR.physical(*filtered_model(list(theta), learning, MOTOR)))
+def physical(theta: Array, regression: Regression) -> Array:
+    return np.array(MOTOR.physical(*regression.model(list(theta))))
 
 
-def propagated(learning: EstimatorSettings) -> Array:
+def propagated(regression: Regression) -> Array:
     """Deviations by central differences and the full covariance."""
-    one = estimate(learning)
+    one = estimate(regression)
     theta = np.array(one.theta)
     u = np.reshape(one.upper, (len(theta), len(theta)))
     root = NOISE * u @ np.diag(np.sqrt(one.diagonal))
     columns = []
     for direction in root.T:
         step = 1e-3 * direction
-        ahead, behind = physical(theta + step, learning), physical(theta - step, learning)
+        ahead, behind = physical(theta + step, regression), physical(theta - step, regression)
         columns.append((ahead - behind) / 2e-3)
     return np.asarray(np.sqrt(np.sum(np.square(columns), axis=0)))
 
 
 @pytest.mark.parametrize("learning", KINDS)
 def test_deviations_are_those_of_the_propagated_covariance(learning: EstimatorSettings) -> None:
-    found = deviations_of(estimate(learning), NOISE, learning, MOTOR, VALUES)
-    assert found == pytest.approx(propagated(learning), rel=1e-4)
+    regression = Regression(learning, MOTOR)
+    found = regression.deviations(estimate(regression), NOISE, VALUES)
+    assert found == pytest.approx(propagated(regression), rel=1e-4)
 
 
 LONG = replace(SCALED_LEARNING, forgetting=0.9995)
@@ -85,29 +75,29 @@ def neighbours(correlation: float, shape: tuple[int, int], seed: int) -> Array:
     return rows
 
 
-def fed(innovations: Array) -> EstimatorState:
+def fed(innovations: Array) -> LambdaEstimator:
     """Return an estimator that has seen these innovations, each of them certain."""
-    state = new_estimator(METHODS[LONG.method], LONG, MOTOR, 2)
+    estimator = LambdaEstimator(LONG, MOTOR, 2)
     for one in innovations:
-        state.estimate.innovation = float(one)
-        remember_residual(state, state.estimate, LONG.forgetting)
-    return state
+        estimator.estimate.innovation = float(one)
+        estimator.residuals.remember(estimator.estimate, LONG.forgetting)
+    return estimator
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.3, 0.6, 0.8])
 def test_a_mean_is_as_uncertain_as_the_factor_says(correlation: float) -> None:
     """The spread of the means of 2000 rows, over that of independent samples."""
     spread = neighbours(correlation, (2000, 200), 91).mean(axis=1).std() * math.sqrt(200)
-    found = correlation_factor(fed(neighbours(correlation, (1, 6000), 92)[0]))
+    found = fed(neighbours(correlation, (1, 6000), 92)[0]).residuals.correlation_factor()
     assert found == pytest.approx(spread, rel=0.08)
 
 
 def test_the_deviations_shown_are_wider_by_the_factor() -> None:
-    state, values = fed(np.full(500, 0.1)), [0.011, 33.4, 234.0]
-    wide = inflated_deviations(state, LONG, MOTOR, values)
-    factor = correlation_factor(state)
-    state.residual_lag = 0.0
-    known = inflated_deviations(state, LONG, MOTOR, values)
+    estimator, values = fed(np.full(500, 0.1)), [0.011, 33.4, 234.0]
+    wide = estimator.shown_deviations(values)
+    factor = estimator.residuals.correlation_factor()
+    estimator.residuals.lag = 0.0
+    known = estimator.shown_deviations(values)
     assert np.array(wide) == pytest.approx(factor * np.array(known), rel=1e-6)
     assert factor > 10.0
 
@@ -121,17 +111,15 @@ ENCODER = [0.011, 23.5, 2.35]
 
 def spread(values: list[float], root: Array, pole: float = 0.7) -> float:
     """How far the response may be off with the gains for a motor."""
-    a, b = discrete_model(BOLD, MOTOR, *MOTOR.realise(values), 1.0)
-    gains, loop = compensator_gains(a, b, 2, pole), asked_loop(b, 2, pole)
-    models = possible_models(BOLD, MOTOR, values, list(root.ravel()), 1.0)
-    return response_spread(models, gains, loop, b, pole)
+    plant = Plant(*discrete_model(BOLD, MOTOR, *MOTOR.realise(values), 1.0))
+    possible = possible_plants(BOLD, MOTOR, values, list(root.ravel()), 1.0)
+    return plant.response_spread(possible, plant.asked(pole), pole)
 
 
 def responses(values: list[float], loads: Array, pole: float = 0.7) -> Array:
     """Responses of loads to a step, with the gains for a motor, by scipy."""
-    a, b = discrete_model(BOLD, MOTOR, *MOTOR.realise(values), 1.0)
-    gains = compensator_gains(a, b, 2, pole)
-    r, s = [1.0, *gains[: len(b) - 1]], gains[len(b) - 1 :]
+    plant = Plant(*discrete_model(BOLD, MOTOR, *MOTOR.realise(values), 1.0))
+    r, s = plant.place(plant.asked(pole))
     found = []
     for load in loads:
         a, b = discrete_model(BOLD, MOTOR, *MOTOR.realise(load.tolist()), 1.0)

@@ -6,7 +6,6 @@ import pytest
 
 from adaptdrive.config.load import Charge
 from adaptdrive.config.section import meanings_of
-from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.battery import (
     ABOVE,
     ChargeState,
@@ -21,8 +20,9 @@ from adaptdrive.control.loads.battery import (
     terminal_voltage,
 )
 from adaptdrive.control.loads.load import Charging
+from adaptdrive.control.signals import SlowSample
 from adaptdrive.control.slow import slow_step
-from adaptdrive.control.supervision.state import SlowState, new_slow_state
+from adaptdrive.control.supervision.state import SlowState
 from tests.integration.closed_loop.bench import AT_REST, EXACT
 
 LIMITS = Charging(
@@ -145,7 +145,7 @@ def sample(output_A: float, reference_A: float, newest_V: float, oldest_V: float
 
 def below_the_emf(newest_V: float) -> SlowState:
     """Return a slow half that has just raised its input to `newest_V`; no current flows."""
-    state = new_slow_state(SETTINGS, BATTERY, 0.0, newest_V)
+    state = SlowState(SETTINGS, BATTERY, 0.0, newest_V)
     state.inputs[1:] = [newest_V - 30.0] * (len(state.inputs) - 1)
     state.charge.current_A = 100.0  # so that the voltage limit lowers no set-point here
     return state
@@ -174,7 +174,7 @@ def test_below_its_own_voltage_a_battery_need_not_answer(
     high_V: float, *, unresponsive: bool
 ) -> None:
     """At the highest input it must: that is above the voltage of every battery it is made for."""
-    state = new_slow_state(SETTINGS, BATTERY, 0.0, 200.0)
+    state = SlowState(SETTINGS, BATTERY, 0.0, 200.0)
     for number in range(60):
         asked = sample(0.0, 20.0, 250.0 if number else 200.0, 0.0)
         asked = replace(asked, followed=number == 0, high=high_V)

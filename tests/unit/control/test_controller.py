@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.design.pole_placement import compensator_gains, discrete_model
+from adaptdrive.control.design.pole_placement import Plant, discrete_model
 from adaptdrive.control.settings import ControllerSettings, Rates, SupervisionLimits
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -220,7 +220,8 @@ def test_the_gains_shown_are_those_of_the_law_in_force(learnt: Bench) -> None:
         *gains, forward = learnt.decisions[-1].gains
         assert forward == pytest.approx(sum(gains[-MOTOR.order - 1 :]))
         shown.append(gains)
-    nominal = compensator_gains(*discrete_model(EXACT, MOTOR, *NOMINAL, 1.0), MOTOR.order, 0.7)
+    plant = Plant(*discrete_model(EXACT, MOTOR, *NOMINAL, 1.0))
+    nominal = plant.gains(plant.asked(0.7))
     assert shown[1] == pytest.approx(nominal, rel=1e-3)
     assert shown[0] != pytest.approx(nominal, rel=0.1)
 
@@ -230,7 +231,7 @@ def test_the_gains_shown_are_those_of_the_law_in_force(learnt: Bench) -> None:
 SMALL = Rates(
     ticks_per_period=4, latency_ticks=1, samples=2, lag_ticks=LAG_TICKS, nominal_tick_s=TICK_s
 )
-EAGER = SupervisionLimits(warm_up_periods=1, ratio_min=1e-3, ratio_max=1e3, patience_periods=2)
+EAGER = SupervisionLimits(warm_up_periods=1, ratio_min=1e-3, ratio_max=1e3, revokes=True)
 KINDS = [
     replace(EXACT, rates=SMALL, supervision=EAGER),
     replace(EXACT, rates=SMALL, supervision=EAGER, learning=PLAIN_LEARNING),

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import cont2discrete, dlsim, lfilter
 
 from adaptdrive.control.design.pole_placement import (
-    compensator_gains,
+    Plant,
     discrete_model,
     kept_factor,
     past_inputs,
@@ -84,7 +84,8 @@ def test_four_poles_lie_at_070_and_the_others_at_zero(
     settings: ControllerSettings, disks: int
 ) -> None:
     a, b = model(settings, motor_system(disks))
-    gains = compensator_gains(a, b, MOTOR.order, 0.7)
+    plant = Plant(a, b)
+    gains = plant.gains(plant.asked(0.7))
     taps = past_inputs(settings, MOTOR)
     loop = np.polyadd(
         np.convolve(a, [1.0, *gains[:taps]])[::-1], np.convolve(b, gains[taps:])[::-1]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, dlsim, lfilter
 
-from adaptdrive.control.estimation.methods import continuous_model
+from adaptdrive.control.estimation.direct import continuous_model
 from adaptdrive.control.loads.discretise import (
     held_model,
     propagated,

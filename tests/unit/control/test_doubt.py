@@ -7,10 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import regression
-from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.estimation.uncertainty import is_doubtful
+from adaptdrive.control.estimation.estimator import LambdaEstimator
 from adaptdrive.control.settings import EstimatorSettings
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.integration.closed_loop.bench import MOTOR, TICKS, TICK_s
@@ -45,13 +42,12 @@ def course(
 
 def learn(voltages: Array, outputs: Array, learning: EstimatorSettings = LEARNING) -> list[Row]:
     """Learn a course; second, values, shown deviations and doubt of each slow period."""
-    state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
-    METHODS[learning.method].begin(state, learning, MOTOR)
+    estimator = LambdaEstimator(learning, MOTOR, 2)
     rows, samples = [], (voltages, outputs)
-    for n in learn_course(state, learning, MOTOR, samples, tick_s=TICK_s, ticks=TICKS, samples=90):
-        values = MOTOR.physical(*regression.filtered_model(state.estimate.theta, learning, MOTOR))
-        shown = METHODS[learning.method].shown_deviations(state, learning, MOTOR, values)
-        rows.append((n // TICKS, values, shown, is_doubtful(state)))
+    for n in learn_course(estimator, samples, tick_s=TICK_s, ticks=TICKS, samples=90):
+        values = MOTOR.physical(*estimator.regression.model(estimator.estimate.theta))
+        shown = estimator.shown_deviations(values)
+        rows.append((n // TICKS, values, shown, estimator.is_doubtful()))
     return rows
 
 

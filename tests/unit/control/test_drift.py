@@ -8,10 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import uncertainty
-from adaptdrive.control.estimation.methods import METHODS
-from adaptdrive.control.estimation.uncertainty import deviations_of
+from adaptdrive.control.estimation.estimator import LambdaEstimator
 from adaptdrive.control.settings import EstimatorSettings
 from tests.unit.control.learning import (
     BATH,
@@ -56,15 +53,13 @@ def course(
 ) -> Course:
     """Learn a bath whose dynamics stand still."""
     samples = simulated(drift_K_per_h, noise_K, seed)
-    state = est.new_estimator(METHODS[learning.method], learning, BATH, 2)
-    relative, counted = [], []
-    for n in learn_course(state, learning, BATH, samples, tick_s=BATH_TICK_s, ticks=BATH_TICKS):
+    estimator, relative, counted = LambdaEstimator(learning, BATH, 2), [], []
+    for n in learn_course(estimator, samples, tick_s=BATH_TICK_s, ticks=BATH_TICKS):
         if n * BATH_TICK_s > 0.5 * SECONDS:
-            found = bath_values(state.estimate.theta, learning)
-            sigma = math.sqrt(
-                state.residual_power / (state.residual_weight - len(state.estimate.theta))
-            )
-            deviations = deviations_of(state.estimate, sigma, learning, BATH, found)
+            own, residuals = estimator.estimate, estimator.residuals
+            found = bath_values(estimator, own.theta)
+            sigma = math.sqrt(residuals.power / (residuals.weight - len(own.theta)))
+            deviations = estimator.regression.deviations(own, sigma, found)
             wrong = np.abs(np.array(found) - [R, TAU_s])
             relative.append(np.max(wrong / [R, TAU_s]))
             counted.append(np.max(wrong / deviations))
@@ -92,30 +87,30 @@ TIMES_s = np.arange(0.0, 14400.0, BATH_TICK_s)
 POWER_W = 520.0 + 60.0 * np.sign(np.sin(2.0 * math.pi * TIMES_s / 2400.0))
 
 
-def learnt(inflow_K: Array, noise_K: float = 0.002, seed: int = 7) -> est.EstimatorState:
+def learnt(inflow_K: Array, noise_K: float = 0.002, seed: int = 7) -> LambdaEstimator:
     """Learn the bath from its samples."""
     noise = np.random.default_rng(seed).normal(0.0, noise_K, TIMES_s.size)
     course = POWER_W, bath_temperatures(POWER_W, inflow_K, noise)
-    state = est.new_estimator(METHODS[BATH_LEARNING.method], BATH_LEARNING, BATH, 2)
-    for _ in learn_course(state, BATH_LEARNING, BATH, course, tick_s=BATH_TICK_s, ticks=BATH_TICKS):
+    estimator = LambdaEstimator(BATH_LEARNING, BATH, 2)
+    for _ in learn_course(estimator, course, tick_s=BATH_TICK_s, ticks=BATH_TICKS):
         pass
-    return state
+    return estimator
 
 
 @pytest.mark.parametrize("period_s", [900.0, 1700.0])
 def test_it_finds_the_load_under_an_inflow_that_swings(period_s: float) -> None:
     worst = 0.0
     for seed in (0, 1, 7):
-        state = learnt(0.1 * np.sin(2.0 * math.pi * TIMES_s / period_s), seed=seed)
-        assert state.incremental.in_force
-        assert bath_values(uncertainty.in_force(state).theta) == pytest.approx([R, TAU_s], rel=0.05)
-        resting = np.array(bath_values(state.estimate.theta))
+        found = learnt(0.1 * np.sin(2.0 * math.pi * TIMES_s / period_s), seed=seed)
+        assert found.incremental.in_force
+        assert bath_values(found, found.in_force.theta) == pytest.approx([R, TAU_s], rel=0.05)
+        resting = np.array(bath_values(found, found.estimate.theta))
         worst = max(worst, float(np.max(np.abs(resting / [R, TAU_s] - 1.0))))
     assert worst > 0.06  # where the bias rests; the other estimate is within 5 %
 
 
 @pytest.mark.parametrize(("seed", "noise_K"), [(0, 0.0), (1, 0.002), (2, 0.05), (3, 0.05)])
 def test_it_leaves_a_bias_that_rests_to_the_other_estimate(seed: int, noise_K: float) -> None:
-    state = learnt(np.zeros_like(TIMES_s), noise_K, seed)
-    assert not state.incremental.in_force
-    assert uncertainty.in_force(state) is state.estimate
+    found = learnt(np.zeros_like(TIMES_s), noise_K, seed)
+    assert not found.incremental.in_force
+    assert found.in_force is found.estimate

@@ -12,9 +12,8 @@ from scipy.signal import cont2discrete, lfilter
 
 from adaptdrive.control import fast
 from adaptdrive.control.design.pole_placement import desired_polynomial
-from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import regression, rls
-from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.estimation.estimator import LambdaEstimator
+from adaptdrive.control.estimation.rls import Estimate
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.load import Load, to_voltage
 from adaptdrive.control.loads.motor import motor_load, paper_model
@@ -146,13 +145,13 @@ def test_the_coefficients_of_the_past_voltages_are_one_plus_d1_and_minus_d1() ->
 
 
 def test_a_forgetting_factor_of_099_remembers_33_minutes_of_20_s_not_60() -> None:
-    theta, upper, diagonal = [0.0], [1.0], [1.0]
-    rls.reset(theta, upper, diagonal, 1e4)
+    own = Estimate(1)
+    own.open_up(1e4)
     for _ in range(5000):
-        rls.update(theta, upper, diagonal, [1.0], 0.0, 0.99)
+        own.update([1.0], 0.0, 0.99)
     periods = 0
-    while theta[0] < 1.0 - math.exp(-1.0):
-        rls.update(theta, upper, diagonal, [1.0], 1.0, 0.99)
+    while own.theta[0] < 1.0 - math.exp(-1.0):
+        own.update([1.0], 1.0, 0.99)
         periods += 1
     assert periods * 20.0 / 60.0 == pytest.approx(33.0, abs=1.0)
 
@@ -198,18 +197,17 @@ def _learn_filtered(
     bank = fast.new_filter_bank(
         load, period_s / ticks, learning.tau_lambda_s, float(outputs[0]), voltage_V
     )
-    state = est.new_estimator(METHODS[learning.method], learning, load, load.order)
+    estimator = LambdaEstimator(learning, load, load.order)
     for n, output in enumerate(outputs):
         bank.inputs[0] = bank.late[-1] = float(held[max(0, n - 1)])  # held from its beginning
         fast.filter_sample(bank, float(output), bank.inputs[0], 1)
         if n % ticks == 0 and n:
             powers = [float(held[n - 1]), *bank.inputs[1:]]
-            regression.fill_filtered_regressor(
-                state.sample.regressor, learning, load, bank.outputs[1:], powers
-            )
-            est.update_estimate(state, learning, load, float(output), usable=True)
-    found = load.physical(*regression.filtered_model(state.estimate.theta, learning, load))
-    return found, load.physical(list(load.numerator), list(load.denominator))
+            estimator.regression.fill_signals(estimator.sample.regressor, bank.outputs[1:], powers)
+            estimator.take_output(float(output), usable=True)
+    return load.physical(*estimator.model()), load.physical(
+        list(load.numerator), list(load.denominator)
+    )
 
 
 def _learn_direct(

@@ -22,45 +22,33 @@ from adaptdrive.control.design.noise import (
     impulse_norm,
     noise_gain,
     slowed_loop,
-    unit_circle,
 )
 from adaptdrive.control.design.pole_placement import (
-    asked_loop,
+    Plant,
     desired_polynomial,
     discrete_model,
-    equation,
-    loop_gains,
 )
 from adaptdrive.control.design.reference import (
     ReferenceFilter,
     condition_reference,
     filter_reference,
-    new_reference_filter,
 )
 from adaptdrive.control.slow import control_law
 from adaptdrive.control.vectors import copy_into, multiply
 from tests.integration.closed_loop.bench import EXACT, MOTOR
-from tests.unit.control.systems import Array, distance, motor_system, place_poles
+from tests.unit.control.systems import Array, distance, motor_system
 
 POLE = 0.7
 
 
-def model(disks: int) -> tuple[list[float], list[float]]:
+def motor(disks: int) -> Plant:
     system = motor_system(disks)
-    return discrete_model(EXACT, MOTOR, system.numerator, system.denominator, 1.0)
+    return Plant(*discrete_model(EXACT, MOTOR, system.numerator, system.denominator, 1.0))
 
 
-def made(disks: int, noise: float, limit: float = 8.0, pole: float = POLE) -> list[float]:
-    a, b = model(disks)
-    return faster((a, b), pole, noise, limit)
-
-
-def faster(
-    model: tuple[list[float], list[float]], pole: float, noise: float, limit: float
-) -> list[float]:
-    (a, b), order = model, len(model[0]) - 1
-    quiet, circle = asked_loop(b, order, pole), unit_circle(len(a) + len(b) - 1)
-    return fast_loop(equation(a, b), a, b, pole, quiet, noise, limit, circle)
+def made(plant: Plant, noise: float, limit: float = 8.0, pole: float = POLE) -> list[float]:
+    """A_f beside the quiet loop that is asked for."""
+    return fast_loop(plant, pole, plant.asked(pole), noise, limit)
 
 
 def values(polynomial: list[float], angles: np.ndarray) -> np.ndarray:
@@ -68,10 +56,10 @@ def values(polynomial: list[float], angles: np.ndarray) -> np.ndarray:
     return found
 
 
-def open_loop(a: list[float], b: list[float], loop: list[float], angles: np.ndarray) -> np.ndarray:
-    r, s = place_poles(a, b, loop)
-    forward = values(a, angles) * values(r, angles)
-    found: np.ndarray = values(b, angles) * values(s, angles) / forward
+def open_loop(plant: Plant, loop: list[float], angles: np.ndarray) -> np.ndarray:
+    r, s = plant.place(loop)
+    forward = values(plant.a, angles) * values(r, angles)
+    found: np.ndarray = values(plant.b, angles) * values(s, angles) / forward
     return found
 
 
@@ -84,19 +72,19 @@ def largest_root(*terms: list[float]) -> float:
 @pytest.mark.parametrize("disks", [1, 2, 3])
 def test_without_noise_the_margins_are_used_and_kept(disks: int) -> None:
     """The distance of L from -1 is just above its limit on a dense quantiser of frequencies."""
-    a, b = model(disks)
+    plant = motor(disks)
     angles = np.geomspace(1e-3, np.pi, 20_000)
-    distance = np.min(np.abs(1.0 + open_loop(a, b, made(disks, 0.0), angles)))
+    distance = np.min(np.abs(1.0 + open_loop(plant, made(plant, 0.0), angles)))
     assert 0.99 * MODULUS_MARGIN < distance < 1.06 * MODULUS_MARGIN
 
 
 @pytest.mark.parametrize("disks", [1, 2, 3])
 def test_the_loop_stands_another_gain_and_another_delay(disks: int) -> None:
-    a, b = model(disks)
-    loop = made(disks, 0.0)
-    r, s = place_poles(a, b, loop)
+    plant = motor(disks)
+    r, s = plant.place(made(plant, 0.0))
     for gain in (0.5, 1.0 / (1.0 - MODULUS_MARGIN)):
-        assert largest_root(multiply(a, r), [gain * x for x in multiply(b, s)]) < 1.0
+        back = [gain * x for x in multiply(plant.b, s)]
+        assert largest_root(multiply(plant.a, r), back) < 1.0
     tick = EXACT.rates.ticks_per_period
     later = EXACT.rates.__class__(
         ticks_per_period=tick,
@@ -112,48 +100,44 @@ def test_the_loop_stands_another_gain_and_another_delay(disks: int) -> None:
 
 
 def test_margins_are_those_of_the_open_loop() -> None:
-    a, b = model(1)
+    plant = motor(1)
     angles = np.geomspace(1e-3, np.pi, 20_000)
     for pole in np.arange(0.30, 0.70, 0.04):
-        loop = desired_polynomial(pole, 4)
-        distance = float(np.min(np.abs(1.0 + open_loop(a, b, loop, angles))))
+        loop = [*desired_polynomial(pole, 4), *[0.0] * plant.free]
+        distance = float(np.min(np.abs(1.0 + open_loop(plant, loop, angles))))
         if abs(distance - MODULUS_MARGIN) > 0.02:
-            circle = unit_circle(len(a) + len(b) - 1)
-            r, s = place_poles(a, b, loop)
-            found = has_margins(multiply(a, r), multiply(b, s), loop, circle)
-            assert found is (distance > MODULUS_MARGIN)
+            assert has_margins(plant, loop) is (distance > MODULUS_MARGIN)
 
 
 @pytest.mark.parametrize("noise", [1.5e-4, 2e-4, 3e-4])
 def test_noise_is_spent_up_to_a_share_of_its_limit(noise: float) -> None:
-    a, b = model(1)
-    found = noise * noise_gain(equation(a, b), a, b, made(1, noise))
+    plant = motor(1)
+    found = noise * noise_gain(plant, made(plant, noise))
     assert 0.85 * SPENT * 8.0 < found <= SPENT * 8.0
 
 
 @pytest.mark.parametrize(("noise", "limit"), [(1e-3, 8.0), (0.0, 0.0), (np.nan, 8.0)])
 def test_where_noise_leaves_no_room_the_quiet_loop_stays(noise: float, limit: float) -> None:
-    _, b = model(1)
-    assert made(1, noise, limit) == asked_loop(b, MOTOR.order, POLE)
+    plant = motor(1)
+    assert made(plant, noise, limit) == plant.asked(POLE)
 
 
 @pytest.mark.parametrize("disks", [1, 3])
 def test_a_disturbance_moves_the_output_half_as_far_and_is_gone_sooner(disks: int) -> None:
-    a, b = model(disks)
+    plant = motor(disks)
     quiet, fast = (
-        closed(a, b, loop, np.ones(100), np.zeros(100))[1]
-        for loop in (asked_loop(b, MOTOR.order, POLE), made(disks, 0.0))
+        closed(plant, loop, np.ones(100), np.zeros(100))[1]
+        for loop in (plant.asked(POLE), made(plant, 0.0))
     )
     assert np.max(np.abs(fast)) < 0.53 * np.max(np.abs(quiet))
     assert np.sqrt(np.mean(fast**2)) < 0.43 * np.sqrt(np.mean(quiet**2))
     assert abs(fast[-1]) < 1e-9
 
 
-def closed(
-    a: list[float], b: list[float], loop: list[float], offset: Array, noise: Array
-) -> tuple[Array, Array]:
+def closed(plant: Plant, loop: list[float], offset: Array, noise: Array) -> tuple[Array, Array]:
     """Input and output by the difference equations of load and law, with what disturbs them."""
-    gains, taps = np.array(loop_gains(equation(a, b), a, b, loop)), len(b) - 1
+    a, b = plant.a, plant.b
+    gains, taps = np.array(plant.gains(loop)), len(b) - 1
     u, y, seen = np.zeros((3, len(offset)))
     for k in range(taps, len(offset)):
         past = u[k - taps : k][::-1]
@@ -165,8 +149,7 @@ def closed(
 
 @pytest.mark.parametrize("pole", [0.3, 0.8, 0.93])
 def test_the_loop_is_never_slower_than_asked(pole: float) -> None:
-    a, b = model(1)
-    found = faster((a, b), pole, 0.0, 8.0)
+    found = made(motor(1), 0.0, pole=pole)
     assert np.max(np.abs(np.roots(found))) <= pole + 2e-3
 
 
@@ -184,25 +167,24 @@ def test_the_norm_is_that_of_the_impulse_response(poles: list[float], b: list[fl
 
 
 def test_the_gain_is_what_a_noisy_loop_shows() -> None:
-    a, b = model(3)
-    loop, noise = asked_loop(b, MOTOR.order, POLE), np.random.default_rng(3).normal(size=100_000)
-    u, _ = closed(a, b, loop, np.zeros(len(noise)), noise)
-    assert noise_gain(equation(a, b), a, b, loop) == pytest.approx(float(np.std(u)), rel=0.02)
+    plant, noise = motor(3), np.random.default_rng(3).normal(size=100_000)
+    loop = plant.asked(POLE)
+    u, _ = closed(plant, loop, np.zeros(len(noise)), noise)
+    assert noise_gain(plant, loop) == pytest.approx(float(np.std(u)), rel=0.02)
 
 
 @pytest.mark.parametrize(("noise", "limit"), [(1e-4, 15.0), (0.0, 15.0), (1.0, 0.0)])
 def test_poles_are_as_asked_while_the_noise_is_within_its_limit(noise: float, limit: float) -> None:
-    a, b = model(3)
-    found = np.roots(detuned_loop(equation(a, b), a, b, POLE, noise, limit))
+    found = np.roots(detuned_loop(motor(3), POLE, noise, limit))
     assert distance(found, [POLE] * 4 + [0.0] * (len(found) - 4)) < 2e-3
 
 
 @pytest.mark.parametrize("disks", [1, 3])
 @pytest.mark.parametrize("times", [1.2, 3.0, 10.0])
 def test_the_noise_of_the_input_is_just_within_its_limit(disks: int, times: float) -> None:
-    a, b = model(disks)
-    limit = noise_gain(equation(a, b), a, b, asked_loop(b, MOTOR.order, POLE)) / times
-    found = noise_gain(equation(a, b), a, b, detuned_loop(equation(a, b), a, b, POLE, 1.0, limit))
+    plant = motor(disks)
+    limit = noise_gain(plant, plant.asked(POLE)) / times
+    found = noise_gain(plant, detuned_loop(plant, POLE, 1.0, limit))
     assert 0.8 * limit <= found <= limit
 
 
@@ -216,52 +198,46 @@ def test_a_limit_makes_no_loop_louder_than_the_poles_asked_for(
 ) -> None:
     """Poles slower than the load's own take gains that pass more noise, not less."""
     values = [0.011, tau_motor_s + tau_filter_s, tau_motor_s * tau_filter_s]
-    a, b = discrete_model(EXACT, MOTOR, *MOTOR.realise(values), 1.0)
-    asked = noise_gain(equation(a, b), a, b, asked_loop(b, MOTOR.order, pole))
-    found = noise_gain(
-        equation(a, b),
-        a,
-        b,
-        detuned_loop(equation(a, b), a, b, pole, 1.0, asked / times),
-    )
+    plant = Plant(*discrete_model(EXACT, MOTOR, *MOTOR.realise(values), 1.0))
+    asked = noise_gain(plant, plant.asked(pole))
+    found = noise_gain(plant, detuned_loop(plant, pole, 1.0, asked / times))
     assert found <= asked * (1.0 + 1e-9)
 
 
 def test_observer_poles_come_first() -> None:
-    a, b = model(3)
-    asked = noise_gain(equation(a, b), a, b, asked_loop(b, MOTOR.order, POLE))
-    found = np.roots(detuned_loop(equation(a, b), a, b, POLE, 1.0, asked / 2.0))
+    plant = motor(3)
+    asked = noise_gain(plant, plant.asked(POLE))
+    found = np.roots(detuned_loop(plant, POLE, 1.0, asked / 2.0))
     assert np.sort(np.abs(found))[1:] == pytest.approx([POLE] * 4, abs=2e-3)
     slowness = float(np.min(np.abs(found))) / 0.8
     assert 0.3 < slowness < 1.0
-    free = len(found) - 2 * MOTOR.order
+    assert plant.free == len(found) - 2 * MOTOR.order
     for faster, within in ((0.0, True), (0.041, False)):
-        loop = slowed_loop([1.0], MOTOR.order, free, POLE, slowness - faster)
-        assert (noise_gain(equation(a, b), a, b, loop) <= asked / 2.0) is within
+        loop = slowed_loop(plant, [1.0], POLE, slowness - faster)
+        assert (noise_gain(plant, loop) <= asked / 2.0) is within
 
 
 @pytest.mark.parametrize("noise", [1e3, np.inf, np.nan])
 def test_no_noise_makes_the_poles_slower_than_a_quarter_of_the_asked_speed(noise: float) -> None:
-    a, b = model(1)
-    found = np.roots(detuned_loop(equation(a, b), a, b, POLE, noise, 1.0))
+    found = np.roots(detuned_loop(motor(1), POLE, noise, 1.0))
     slowest = 1.0 - SLOWEST_SHARE * (1.0 - POLE)
     assert distance(found, [slowest] * 4 + [OBSERVER_POLE] * (len(found) - 4)) < 5e-3
 
 
 REST, FAR = 3.0, 3.8
 REST_V = REST / 0.011
-SYSTEM = motor_system(3)
-A, B = discrete_model(EXACT, MOTOR, SYSTEM.numerator, SYSTEM.denominator, 1.0)
+PLANT = motor(3)
+A, B = PLANT.a, PLANT.b
 TAPS = len(B) - 1
-ASKED = asked_loop(B, MOTOR.order, POLE)
+ASKED = PLANT.asked(POLE)
 
 
 def slow_loop(slowness: float) -> list[float]:
-    return slowed_loop([1.0], MOTOR.order, TAPS - MOTOR.order, POLE, slowness)
+    return slowed_loop(PLANT, [1.0], POLE, slowness)
 
 
 def designed(slowness: float) -> ReferenceFilter:
-    state = new_reference_filter(MOTOR.order, TAPS)
+    state = ReferenceFilter(MOTOR.order, TAPS)
     filter_reference(state, REST)
     copy_into(state.asked, ASKED)
     copy_into(state.loop, slow_loop(slowness))
@@ -272,7 +248,7 @@ def response(
     slowness: float, target: float, limit_V: float = math.inf, *, conditioned: bool = True
 ) -> Array:
     """Output after a step of the reference, on the discrete model."""
-    state, gains = designed(slowness), loop_gains(equation(A, B), A, B, slow_loop(slowness))
+    state, gains = designed(slowness), PLANT.gains(slow_loop(slowness))
     inputs, outputs, trace = [REST_V] * TAPS, [REST] * (MOTOR.order + 1), []
     for _ in range(200):
         y = np.dot(B[1:], inputs) - np.dot(A[1:], outputs[: MOTOR.order])

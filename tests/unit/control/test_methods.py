@@ -12,15 +12,12 @@ import pytest
 from scipy.signal import cont2discrete
 
 from adaptdrive.control import fast
-from adaptdrive.control.estimation import estimator as est
-from adaptdrive.control.estimation import regression, rls, uncertainty
-from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.estimation.estimator import LambdaEstimator
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, EstimatorSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervision.redesign import judged_model
-from adaptdrive.control.supervision.state import SlowState, new_slow_state
+from adaptdrive.control.supervision.state import SlowState
 from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive.control.vectors import shift_in
 from tests.integration.closed_loop.bench import (
@@ -54,29 +51,15 @@ MEASURED = replace(
 TAU_s = SCALED_LEARNING.tau_lambda_s
 
 
-def filled(learning: EstimatorSettings, load: Load) -> SlowState:
-    """A state 60 s after its start, 20 s after its origin, whose r has been filled in."""
-    state = new_slow_state(replace(EXACT, learning=learning), load, 3.0, 280.0)
-    estimator = state.estimator
-    estimator.sample.time_s, estimator.estimate.origin_s, estimator.charge = 60.0, 40.0, 0.7
-    past = (state.outputs, state.inputs)
-    estimator.method.fill_regressor(estimator, learning, load, MEASURED, past)
-    return state
-
-
-def covariance(state: est.EstimatorState) -> Array:
-    count = len(state.estimate.theta)
-    flat = rls.covariance(state.estimate.upper, state.estimate.diagonal)
-    return np.reshape(np.array(flat), (count, count))
-
-
 def test_the_regressor_of_a_motor_is_equation_29_and_the_initial_state_since_the_origin() -> None:
-    learning = replace(SCALED_LEARNING, initial_state=True, bias=True)
-    found = filled(learning, MOTOR).estimator.sample.regressor
+    """The sample ends 60 s after the start, 20 s after the origin."""
+    estimator = LambdaEstimator(replace(SCALED_LEARNING, initial_state=True, bias=True), MOTOR, 2)
+    estimator.sample.time_s, estimator.estimate.origin_s = 59.0, 40.0
+    estimator.take_sample(MEASURED, [3.0] * 3, [280.0] * 3, usable=True)
     ratio = 20.0 / TAU_s
     expected = [-3.2 / 3.0, -3.1 / 3.0, 285.0 / 280.0]
     expected += [math.exp(-ratio), ratio * math.exp(-ratio), 1.0]
-    assert found == pytest.approx(expected, rel=1e-12)
+    assert estimator.sample.regressor == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -96,9 +79,10 @@ def test_an_offset_that_rests_is_expected_within_a_tenth_of_the_input(
     """P[0] is a deviation of 1 at the least σ: an EMF or the drift of an inflow may be as large."""
     usual = {"alert": True, "bias": True, "initial_covariance": 1e8}
     learning = replace(SCALED_LEARNING, **(usual | options))
-    state = est.new_estimator(METHODS[learning.method], learning, MOTOR, 2)
     variance = share**2 * learning.initial_covariance
-    assert state.estimate.diagonal[-1] == pytest.approx(variance, rel=1e-12)
+    assert LambdaEstimator(learning, MOTOR, 2).estimate.diagonal[-1] == pytest.approx(
+        variance, rel=1e-12
+    )
 
 
 DIRECT = replace(
@@ -119,17 +103,14 @@ def learnt(
 ) -> tuple[SlowState, Array]:
     """An estimator that has seen a motor with so many disks in each period; its innovations."""
     random = np.random.default_rng(5)
-    state, learning = new_slow_state(settings, MOTOR, 3.0, 280.0), settings.learning
+    state = SlowState(settings, MOTOR, 3.0, 280.0)
     outputs, inputs, innovations = [3.0, 3.0], [280.0, 280.0], []
     for count in disks:
         a, b = held(count)
         y = float(-np.dot(a[1:], outputs) + np.dot(b[1:], np.add(inputs, OFFSET_V)))
         outputs = [y, outputs[0]]
         sample = replace(AT_REST, output=y + noise * random.normal())
-        estimator, past = state.estimator, (state.outputs, state.inputs)
-        estimator.method.fill_regressor(estimator, learning, MOTOR, sample, past)
-        target = sample.output
-        est.update_estimate(estimator, learning, MOTOR, target, usable=True)
+        state.estimator.take_sample(sample, state.outputs, state.inputs, usable=True)
         innovations.append(state.estimator.innovation)
         shift_in(state.outputs, sample.output)
         inputs = [280.0 + 20.0 * random.normal(), inputs[0]]
@@ -139,7 +120,6 @@ def learnt(
 
 def test_the_discrete_model_and_the_offset_of_the_input_are_found() -> None:
     state, _ = learnt(SETTINGS, [2] * 600)
-    estimator = state.estimator
     a, b, verdict = judged_model(SETTINGS, MOTOR, state, 1.0)
     bottom, top = held(2)
     assert a == pytest.approx(bottom, rel=1e-5)
@@ -147,9 +127,7 @@ def test_the_discrete_model_and_the_offset_of_the_input_are_found() -> None:
     assert b[3:] == pytest.approx([0.0] * len(b[3:]), abs=1e-8)
     assert verdict == Verdict.TRUSTED
     assert state.values == pytest.approx([0.011, 33.4, 234.0], rel=1e-3)
-    assert estimator.method.input_offset(estimator, DIRECT, MOTOR) == pytest.approx(
-        OFFSET_V, rel=1e-3
-    )
+    assert state.estimator.input_offset() == pytest.approx(OFFSET_V, rel=1e-3)
 
 
 def test_a_load_that_changes_abruptly_is_learnt_anew_where_that_is_watched() -> None:
@@ -163,7 +141,8 @@ def test_a_load_that_changes_abruptly_is_learnt_anew_where_that_is_watched() -> 
         settings = replace(SETTINGS, learning=learning)
         state, innovations = learnt(settings, [1] * 200 + [3] * 60, noise=1e-4)
         errors[alert] = math.sqrt(float(np.mean(innovations[-30:] ** 2)))
-        shown[alert] = uncertainty.residual_noise(state.estimator) * learning.output_scale
+        count = len(state.estimator.estimate.theta)
+        shown[alert] = state.estimator.residuals.noise(count) * learning.output_scale
         assert state.estimator.detector.alarms == (1 if alert else 0)
     assert shown[True] == pytest.approx(errors[True], rel=0.5)
     assert errors[True] < 5e-4
@@ -208,42 +187,35 @@ def simulated_charge() -> tuple[Array, Array]:
     return voltages, currents
 
 
-def learnt_charge(learning: EstimatorSettings) -> est.EstimatorState:
+def learnt_charge(learning: EstimatorSettings) -> LambdaEstimator:
     """An estimate from the tick-wise samples, which start at rest on the first ones."""
     voltages, currents = simulated_charge()
-    state = est.new_estimator(METHODS[learning.method], learning, CHARGED, 2)
+    estimator = LambdaEstimator(learning, CHARGED, 2)
+    regressor, regression = estimator.sample.regressor, estimator.regression
     bank = fast.new_filter_bank(CHARGED, TICK_s, 20.0, float(currents[0]), float(voltages[0]))
     for n in range(1, voltages.size):
         fast.filter_sample(bank, float(currents[n]), float(voltages[n]), 1)
         if n % TICKS == 0:
             fast.accumulate(bank)
             y, *rest = fast.take_means(bank)
-            state.charge = float(np.sum(currents[:n])) * TICK_s / 20.0 / learning.output_scale
-            regression.fill_filtered_regressor(
-                state.sample.regressor, learning, CHARGED, rest[:1], rest[1:]
-            )
-            regression.fill_charge(state.sample.regressor, learning, state.charge)
-            est.update_estimate(state, learning, CHARGED, y, usable=True)
-    return state
+            estimator.charge = float(np.sum(currents[:n])) * TICK_s / 20.0 / learning.output_scale
+            regression.fill_signals(regressor, rest[:1], rest[1:])
+            regression.fill_charge(regressor, estimator.charge)
+            estimator.take_output(y, usable=True)
+    return estimator
 
 
 def test_the_rise_of_an_emf_is_no_dynamics() -> None:
-    state = learnt_charge(CHARGE_LEARNING)
-    found = CHARGED.physical(
-        *regression.filtered_model(state.estimate.theta, CHARGE_LEARNING, CHARGED)
-    )
+    found = CHARGED.physical(*learnt_charge(CHARGE_LEARNING).model())
     assert found == pytest.approx(TRUTH, rel=0.02)
     ignorant = replace(CHARGE_LEARNING, charge=False)
-    mistaken = CHARGED.physical(
-        *regression.filtered_model(learnt_charge(ignorant).estimate.theta, ignorant, CHARGED)
-    )
+    mistaken = CHARGED.physical(*learnt_charge(ignorant).model())
     assert abs(mistaken[1] / TRUTH[1] - 1.0) > 0.2
 
 
 def test_the_offset_is_the_emf_of_now() -> None:
-    state = learnt_charge(CHARGE_LEARNING)
+    offset_V = learnt_charge(CHARGE_LEARNING).input_offset()
     _, currents = simulated_charge()
     emf_V = 72.0 + RISE_V_PER_AS * float(np.sum(currents)) * TICK_s
-    offset_V = regression.input_offset(state.estimate.theta, CHARGE_LEARNING, CHARGED, state.charge)
     assert offset_V == pytest.approx(-emf_V / TURNS, rel=2e-3)
     assert emf_V - 72.0 > 0.8

@@ -9,10 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
-from adaptdrive.control.design.pole_placement import (
-    closed_loop,
-    desired_polynomial,
-)
+from adaptdrive.control.design.pole_placement import Plant, desired_polynomial
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.slow import control_law, lead_reference
 from tests.unit.control.systems import (
@@ -108,7 +105,7 @@ def test_any_load_gets_the_desired_polynomial_an_integrator_and_unit_gain(
     assert abs(sum(r)) <= 1e-13 * sum(abs(x) for x in r)
     assert sum(s) * sum(b) == pytest.approx(sum(wanted), abs=1e-11 * rounding)
     assert np.isfinite([*r, *s]).all()
-    assert np.allclose(closed_loop([*r[1:], *s], a, b), loop, rtol=0.0, atol=1e-14 * rounding)
+    assert np.allclose(Plant(a, b).closed([*r[1:], *s]), loop, rtol=0.0, atol=1e-14 * rounding)
 
 
 @pytest.mark.parametrize(

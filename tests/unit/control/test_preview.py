@@ -14,7 +14,7 @@ from scipy.linalg import toeplitz
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
-from adaptdrive.control.design.pole_placement import asked_loop, discrete_model
+from adaptdrive.control.design.pole_placement import Plant, discrete_model
 from adaptdrive.control.design.reference import (
     AHEAD,
     MOVES,
@@ -39,9 +39,12 @@ class Loop:
 
     def __init__(self, disks: float, beyond: float = 0.0) -> None:
         values = MOTOR.realise([0.011, 10.0 + 11.7 * disks, 117.0 * disks])
-        self.a, self.b = discrete_model(EXACT, MOTOR, *values, 1.0)
-        self.asked = asked_loop(self.b, 2, POLE)
-        self.state = ReferenceFilter(self.asked, [], [REST] * 7, [REST] * 7)
+        self.plant = Plant(*discrete_model(EXACT, MOTOR, *values, 1.0))
+        self.a, self.b = self.plant.a, self.plant.b
+        self.asked = self.plant.asked(POLE)
+        self.state = ReferenceFilter(2, len(self.b) - 1)
+        self.state.asked = self.asked
+        self.state.course, self.state.ideal = [REST] * 7, [REST] * 7
         self.last, self.free, self.beyond = REST / self.gain, True, beyond
 
     @property
@@ -54,9 +57,17 @@ class Loop:
 
     def step(self, references: list[float]) -> float:
         """One slow period; the input that the new course needs."""
-        known = (self.a, self.b, references)
-        limits = (POLE, LOW, HIGH, self.beyond)
-        found = plan(self.state, *known, self.last, self.free, *limits)
+        found = plan(
+            self.state,
+            self.plant,
+            references,
+            self.last,
+            free=self.free,
+            pole=POLE,
+            low=LOW,
+            high=HIGH,
+            beyond=self.beyond,
+        )
         shift_in(self.course, found)
         self.last = float(np.dot(self.a, self.course[: len(self.a)])) / sum(self.b)
         return self.last

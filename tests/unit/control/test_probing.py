@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.control.estimation.regression import SlowSample
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.load import Charging
 from adaptdrive.control.settings import Probing
+from adaptdrive.control.signals import SlowSample
 from adaptdrive.control.supervision.setpoints import EXCURSIONS, half_periods, probe
-from adaptdrive.control.supervision.state import SlowState, new_slow_state
+from adaptdrive.control.supervision.state import SlowState
 from adaptdrive.control.supervision.supervisor import Verdict
 from tests.integration.closed_loop.bench import AT_REST, EXACT, LOW, MOTOR
 
@@ -25,7 +25,7 @@ HALF = half_periods(MOTOR, 0.7, 1.0)
 
 def unknown_load() -> SlowState:
     """A slow half that never gets to know its load."""
-    state = new_slow_state(EXACT, MOTOR, LOW, 270.0)
+    state = SlowState(EXACT, MOTOR, LOW, 270.0)
     state.supervisor.verdict = Verdict.UNCERTAIN
     return state
 

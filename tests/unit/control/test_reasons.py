@@ -10,7 +10,7 @@ import pytest
 from adaptdrive.control.settings import Probing
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervision.monitor import Fallback
-from adaptdrive.control.supervision.state import SlowState, new_slow_state, reason
+from adaptdrive.control.supervision.state import SlowState, reason
 from adaptdrive.control.supervision.supervisor import Verdict
 from tests.integration.closed_loop.bench import EXACT, MOTOR
 
@@ -19,11 +19,11 @@ PROBING = Probing(stale_periods=300)
 GAIN, SUM_s, PRODUCT_s2 = 0, 1, 2
 
 
-def judged(verdict: Verdict, out_of_bounds: int = GAIN) -> SlowState:
+def judged(verdict: Verdict) -> SlowState:
     """A slow half whose estimate got a verdict."""
-    state = new_slow_state(EXACT, MOTOR, 3.0, 3.0 / 0.011)
-    state.supervisor.verdict, state.supervisor.out_of_bounds = verdict, out_of_bounds
-    state.values = list(state.nominal)
+    state = SlowState(EXACT, MOTOR, 3.0, 3.0 / 0.011)
+    state.supervisor.verdict = verdict
+    state.values = list(state.supervisor.nominal)
     state.spread = 0.01
     return state
 
@@ -72,7 +72,7 @@ def test_what_is_not_known_yet_is_named_with_its_figures(
 
 def out_of_bounds(parameter: int, ratio: float, better: float = 100.0) -> str:
     """The reason of an estimate that predicts so many times better than the nominal model."""
-    state = judged(Verdict.OUT_OF_BOUNDS, parameter)
+    state = judged(Verdict.OUT_OF_BOUNDS)
     state.values[parameter] *= ratio
     state.supervisor.own_power = 1e-4
     state.supervisor.fixed_power = 1e-4 * better * better

@@ -8,34 +8,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.control.estimation import rls
+from adaptdrive.control.estimation.rls import COVARIANCE_CEILING, Estimate
+from tests.unit.control.learning import dense
 from tests.unit.control.systems import Array
 
 
-class Recursive:
-    """θ, U and D together, as lists."""
+def fresh(size: int, covariance: float = 1e4) -> Estimate:
+    """θ = 0, and the same P whatever it was before."""
+    own = Estimate(size)
+    own.upper[:], own.diagonal[:] = [9.0] * (size * size), [9.0] * size
+    own.open_up(covariance)
+    return own
 
-    def __init__(self, size: int, covariance: float = 1e4) -> None:
-        self.theta = [1.0] * size
-        self.upper = [9.0] * (size * size)
-        self.diagonal = [9.0] * size
-        rls.reset(self.theta, self.upper, self.diagonal, covariance)
 
-    def take(self, regressor: Array, target: float, forgetting: float = 1.0) -> float:
-        return rls.update(
-            self.theta, self.upper, self.diagonal, regressor.tolist(), float(target), forgetting
-        )
+def learnt(own: Estimate, regressors: Array, targets: Array, forgetting: float = 1.0) -> Estimate:
+    """The same estimate after more samples."""
+    for r, y in zip(regressors.tolist(), targets.tolist(), strict=True):
+        own.update(r, y, forgetting)
+    return own
 
-    @property
-    def covariance(self) -> Array:
-        size = len(self.theta)
-        return np.array(rls.covariance(self.upper, self.diagonal)).reshape(size, size)
 
-    @property
-    def sound(self) -> bool:
-        return all(d > 0.0 and math.isfinite(d) for d in self.diagonal) and bool(
-            np.isfinite([*self.upper, *self.theta]).all()
-        )
+def is_sound(own: Estimate) -> bool:
+    positive = all(d > 0.0 and math.isfinite(d) for d in own.diagonal)
+    return positive and bool(np.isfinite([*own.upper, *own.theta]).all())
 
 
 def textbook(
@@ -61,33 +56,27 @@ def data(size: int, count: int) -> tuple[Array, Array]:
 @pytest.mark.parametrize("size", [1, 2, 3, 5, 8])
 def test_without_forgetting_it_is_regularised_batch_least_squares(size: int) -> None:
     regressors, targets = data(size, 80)
-    recursive = Recursive(size)
-    for r, y in zip(regressors, targets, strict=True):
-        recursive.take(r, y)
+    recursive = learnt(fresh(size), regressors, targets)
     prior = np.eye(size) / math.sqrt(1e4)
     stacked = np.vstack([prior, regressors])
     batch, *_ = np.linalg.lstsq(stacked, np.concatenate([np.zeros(size), targets]))
     assert recursive.theta == pytest.approx(batch, rel=1e-9)
-    assert np.allclose(recursive.covariance, np.linalg.inv(stacked.T @ stacked), rtol=1e-9)
+    assert np.allclose(dense(recursive), np.linalg.inv(stacked.T @ stacked), rtol=1e-9)
 
 
 @pytest.mark.parametrize("forgetting", [0.9, 0.97, 0.99, 1.0])
 @pytest.mark.parametrize("size", [2, 3, 6])
 def test_with_good_excitation_it_is_the_textbook_recursion(size: int, forgetting: float) -> None:
     regressors, targets = data(size, 400)
-    recursive = Recursive(size)
-    for r, y in zip(regressors, targets, strict=True):
-        recursive.take(r, y, forgetting)
+    recursive = learnt(fresh(size), regressors, targets, forgetting)
     theta, p = textbook(regressors, targets, 1e4, forgetting)
     assert recursive.theta == pytest.approx(theta, rel=1e-9)
-    assert np.abs(recursive.covariance - p).max() <= 1e-9 * np.abs(p).max()
+    assert np.abs(dense(recursive) - p).max() <= 1e-9 * np.abs(p).max()
 
 
 def test_forgetting_weighs_the_past_exponentially() -> None:
     regressors, targets = data(3, 60)
-    recursive = Recursive(3, 1e9)
-    for r, y in zip(regressors, targets, strict=True):
-        recursive.take(r, y, 0.9)
+    recursive = learnt(fresh(3, 1e9), regressors, targets, 0.9)
     root = 0.9 ** (0.5 * np.arange(59, -1, -1))
     batch, *_ = np.linalg.lstsq(regressors * root[:, None], targets * root)
     assert recursive.theta == pytest.approx(batch, rel=1e-6)
@@ -97,12 +86,12 @@ def test_forgetting_weighs_the_past_exponentially() -> None:
 def test_whatever_arrives_p_stays_positive_definite(
     samples: list[tuple[float, float, float, float]], forgetting: float
 ) -> None:
-    recursive = Recursive(3)
+    recursive = fresh(3)
     for *regressor, target in samples:
-        recursive.take(np.array(regressor), target, forgetting)
-        assert recursive.sound
-        excitation = rls.excitation(recursive.upper, recursive.diagonal, regressor)
-        assert excitation >= 0.0
+        recursive.update(regressor, target, forgetting)
+        assert is_sound(recursive)
+        recursive.predict(regressor, target)
+        assert recursive.excitation >= 0.0
 
 
 POOR: dict[str, Callable[[int], Array]] = {
@@ -120,14 +109,13 @@ POOR: dict[str, Callable[[int], Array]] = {
 
 @pytest.mark.parametrize("kind", POOR)
 def test_p_stays_positive_definite_and_finite_without_excitation(kind: str) -> None:
-    recursive, target = Recursive(3), np.array([-1.8, 0.8, 0.011])
-    for n in range(30_000):
-        regressor = POOR[kind](n)
-        recursive.take(regressor, regressor @ target, 0.97)
-    assert recursive.sound
-    assert max(recursive.diagonal) <= rls.COVARIANCE_CEILING
-    for regressor in data(3, 600)[0]:
-        recursive.take(regressor, regressor @ target, 0.97)
+    recursive, target = fresh(3), np.array([-1.8, 0.8, 0.011])
+    regressors = np.array([POOR[kind](n) for n in range(30_000)])
+    learnt(recursive, regressors, regressors @ target, 0.97)
+    assert is_sound(recursive)
+    assert max(recursive.diagonal) <= COVARIANCE_CEILING
+    regressors, _ = data(3, 600)
+    learnt(recursive, regressors, regressors @ target, 0.97)
     assert recursive.theta == pytest.approx(target, rel=1e-6)
 
 
@@ -140,15 +128,15 @@ def test_the_textbook_recursion_breaks_where_the_factored_one_does_not() -> None
 
 @pytest.mark.proof
 def test_p_stays_positive_definite_after_ten_million_poor_updates() -> None:
-    recursive, lowest = Recursive(3), math.inf
+    recursive, lowest = fresh(3), math.inf
     for n in range(10_000_000):
         wobble = 1e-12 * math.sin(0.1 * n)
         regressor = [-3.0 + wobble, -3.0 - wobble, 280.0]
-        rls.update(recursive.theta, recursive.upper, recursive.diagonal, regressor, 3.0, 0.97)
+        recursive.update(regressor, 3.0, 0.97)
         lowest = min(lowest, *recursive.diagonal)
     assert lowest > 0.0
-    assert max(recursive.diagonal) <= rls.COVARIANCE_CEILING
-    assert recursive.sound
+    assert max(recursive.diagonal) <= COVARIANCE_CEILING
+    assert is_sound(recursive)
 
 
 def test_directional_forgetting_forgets_only_along_the_sample() -> None:
@@ -159,10 +147,12 @@ def test_directional_forgetting_forgets_only_along_the_sample() -> None:
     before = upper @ np.diag(diagonal) @ upper.T
     information = np.linalg.inv(before)
     information += (1.0 - (1.0 - 0.97) / (r @ before @ r)) * np.outer(r, r)
-    factors, weights, parameters = upper.ravel().tolist(), list(diagonal), [0.1, 0.2, 0.3]
-    rls.update_along(parameters, factors, weights, r.tolist(), 1.5, 0.97)
-    found = np.array(rls.covariance(factors, weights)).reshape(3, 3)
+    own = Estimate(3)
+    own.upper[:], own.diagonal[:] = upper.ravel().tolist(), diagonal
+    own.theta[:] = [0.1, 0.2, 0.3]
+    own.update_beside(r.tolist(), 1.5, 0.97, 0.0, 0)
+    found = dense(own)
     np.testing.assert_allclose(np.linalg.inv(found), information, rtol=1e-9)
     gain = found @ r
     expected = np.array([0.1, 0.2, 0.3]) + gain * (1.5 - r @ [0.1, 0.2, 0.3])
-    np.testing.assert_allclose(parameters, expected, rtol=1e-9)
+    np.testing.assert_allclose(own.theta, expected, rtol=1e-9)

@@ -7,22 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptdrive.control.design.noise import noise_gain, slowed_loop
-from adaptdrive.control.design.pole_placement import (
-    asked_loop,
-    compensator_gains,
-    discrete_model,
-    equation,
-    loop_gains,
-    reference_lead,
-)
-from adaptdrive.control.estimation.regression import SlowSample, theta_of
+from adaptdrive.control.design.noise import Law, noise_gain, slowed_loop
+from adaptdrive.control.design.pole_placement import Plant, discrete_model, reference_lead
+from adaptdrive.control.estimation.regression import Regression
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.load import Charging
 from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.signals import SlowSample
 from adaptdrive.control.slow import slow_step
 from adaptdrive.control.supervision.monitor import Fallback
-from adaptdrive.control.supervision.state import SlowState, new_slow_state
+from adaptdrive.control.supervision.state import SlowState
 from adaptdrive.control.vectors import copy_into
 from tests.integration.closed_loop.bench import AT_REST, EXACT, MOTOR, PAPER, PLAIN_LEARNING, REST_V
 from tests.unit.control.systems import motor_system
@@ -31,7 +25,7 @@ BOTH = pytest.mark.parametrize("settings", [EXACT, PAPER])
 
 
 def at_rest(settings: ControllerSettings = EXACT) -> SlowState:
-    return new_slow_state(settings, MOTOR, 3.0, REST_V)
+    return SlowState(settings, MOTOR, 3.0, REST_V)
 
 
 def sample(output: float = 3.0, *, adaptive: bool = False, **changes: Any) -> SlowSample:
@@ -122,12 +116,28 @@ SLOWEST_FALL_V = 20.0
 """What a load takes from the boost capacitor of a unidirectional drive in a slow period."""
 
 
-def in_force(a: list[float], b: list[float], slowness: float) -> SlowState:
+def heavy() -> Plant:
+    """A motor with three disks."""
+    system = motor_system(3)
+    return Plant(*discrete_model(EXACT, MOTOR, system.numerator, system.denominator, 1.0))
+
+
+def in_force(
+    settings: ControllerSettings, plant: Plant, slowness: float, noise: float = 0.0
+) -> SlowState:
     """A loop that is slower than what is asked for, under gains that are not learnt."""
-    state, taps = at_rest(), len(b) - 1
-    loop = slowed_loop([1.0], MOTOR.order, taps - MOTOR.order, 0.7, slowness)
-    copy_into(state.adaptive_gains, loop_gains(equation(a, b), a, b, loop))
-    copy_into(state.reference_filter.asked, asked_loop(b, MOTOR.order, 0.7))
+    state, loop = at_rest(settings), slowed_loop(plant, [1.0], 0.7, slowness)
+    gains = plant.gains(loop)
+    state.law = Law(
+        plant=plant,
+        asked=plant.asked(0.7),
+        quiet_gains=gains,
+        quiet_noise=noise,
+        fast_loop=loop,
+        fast_gains=gains,
+        fast_noise=noise,
+    )
+    copy_into(state.reference_filter.asked, state.law.asked)
     copy_into(state.reference_filter.loop, loop)
     copy_into(state.reference_filter.course, [3.0] * len(loop))
     state.supervisor.trusted, state.blend = True, 1.0
@@ -137,10 +147,11 @@ def in_force(a: list[float], b: list[float], slowness: float) -> SlowState:
 @pytest.mark.parametrize("slowness", [0.0, 1.0, 1.6])
 def test_the_course_stays_that_of_the_load_where_the_drive_cannot_follow(slowness: float) -> None:
     """The output of the model is B/B(1) m, whatever input was applied."""
-    system = motor_system(3)
-    a, b = discrete_model(EXACT, MOTOR, system.numerator, system.denominator, 1.0)
-    supervision = replace(EXACT.supervision, warm_up_periods=10**6, patience_periods=10**6)
-    settings, state = replace(EXACT, supervision=supervision), in_force(a, b, slowness)
+    plant = heavy()
+    a, b = plant.a, plant.b
+    supervision = replace(EXACT.supervision, warm_up_periods=10**6, revokes=False)
+    settings = replace(EXACT, supervision=supervision)
+    state = in_force(settings, plant, slowness)
     inputs, outputs, held_back, applied = [REST_V] * (len(b) - 1), [3.0] * 2, 0, REST_V
     for k in range(400):
         y = float(np.dot(b[1:], inputs) - np.dot(a[1:], outputs))
@@ -159,16 +170,14 @@ def test_the_course_stays_that_of_the_load_where_the_drive_cannot_follow(slownes
 
 def mean_error_at_the_lower_limit(confidence: float) -> float:
     """Mean error of a noisy output whose rest is 5 V above the lowest V_c."""
-    system, slowness, reference = motor_system(3), 1.0, 0.011 * 205.0
-    a, b = discrete_model(EXACT, MOTOR, system.numerator, system.denominator, 1.0)
+    plant, slowness, reference = heavy(), 1.0, 0.011 * 205.0
+    a, b = plant.a, plant.b
     supervision = replace(
-        EXACT.supervision, warm_up_periods=10**6, patience_periods=10**6, confidence=confidence
+        EXACT.supervision, warm_up_periods=10**6, revokes=False, confidence=confidence
     )
-    settings, state = replace(EXACT, supervision=supervision), in_force(a, b, slowness)
-    state.input_noise = state.fast_noise = 8.0
-    noise = 8.0 / noise_gain(
-        equation(a, b), a, b, slowed_loop([1.0], MOTOR.order, len(b) - 3, 0.7, slowness)
-    )
+    settings = replace(EXACT, supervision=supervision)
+    state = in_force(settings, plant, slowness, 8.0)
+    noise = 8.0 / noise_gain(plant, slowed_loop(plant, [1.0], 0.7, slowness))
     random, errors = np.random.default_rng(5), []
     inputs, outputs = [REST_V] * (len(b) - 1), [3.0] * 2
     for _ in range(3000):
@@ -195,7 +204,8 @@ FIXED = replace(AT_REST, adaptive=False)
 def test_an_error_counts_only_while_the_drive_follows(*, followed: bool) -> None:
     """The output stays although the set-point is 0.2 V away."""
     supervision = replace(EXACT.supervision, error_limit=0.1, response_distance=1.0)
-    settings, state = replace(EXACT, supervision=supervision), at_rest()
+    settings = replace(EXACT, supervision=supervision)
+    state = at_rest(settings)
     for _ in range(60):
         applied = REST_V if followed else REST_V + 1.0
         asked = replace(AT_REST, reference=3.2, followed=followed, applied=applied, high=1e9)
@@ -222,7 +232,8 @@ def test_an_input_by_hand_at_a_limit_shows_a_load_that_does_not_answer(
 ) -> None:
     """One within the limits is the operator's own, and judged by the operator."""
     supervision = replace(EXACT.supervision, response_periods=20, response_distance=0.05)
-    settings, state = replace(EXACT, supervision=supervision), at_rest()
+    settings = replace(EXACT, supervision=supervision)
+    state = at_rest(settings)
     for _ in range(400):
         slow_step(settings, MOTOR, state, replace(FIXED, manual=True, held=held_V))
     assert state.unresponsive is unresponsive
@@ -245,8 +256,9 @@ BATTERY = battery_load(0.25, 1.2, 0.3, 60.0, Charging(0.25, 1.0, 0.2, 58.0, 1.0)
 
 def known(settings: ControllerSettings = SETTINGS) -> SlowState:
     """A slow half at rest that is sure of a motor with two disks."""
-    state = new_slow_state(settings, MOTOR, 3.0, REST_V)
-    state.estimator.estimate.theta[:3] = theta_of(SETTINGS.learning, MOTOR, *MOTOR.realise(HEAVY))
+    state = SlowState(settings, MOTOR, 3.0, REST_V)
+    regression = Regression(SETTINGS.learning, MOTOR)
+    state.estimator.estimate.theta[:3] = regression.theta_of(*MOTOR.realise(HEAVY))
     state.estimator.estimate.diagonal[:] = [1e-6] * 3
     state.estimator.periods = 100
     state.reference_filter.course[:] = [3.0] * len(state.reference_filter.course)
@@ -254,8 +266,8 @@ def known(settings: ControllerSettings = SETTINGS) -> SlowState:
 
 
 def gains_of(values: list[float]) -> list[float]:
-    a, b = discrete_model(SETTINGS, MOTOR, *MOTOR.realise(values), 1.0)
-    return list(compensator_gains(a, b, 2, POLE))
+    plant = Plant(*discrete_model(SETTINGS, MOTOR, *MOTOR.realise(values), 1.0))
+    return plant.gains(plant.asked(POLE))
 
 
 FIXED_LAW, ADAPTIVE_LAW = gains_of([0.011, 21.7, 117.0]), gains_of(HEAVY)
@@ -312,28 +324,19 @@ def test_what_the_adaptive_law_asks_for_in_vain_is_taken_back_once_it_alone_is_i
 @pytest.mark.parametrize("fallback", [Fallback.NONE, Fallback.ERROR])
 def test_a_fallback_ends_the_adaptive_law(fallback: Fallback) -> None:
     state = known()
-    state.watch.fallback, state.watch.asked = fallback, True
+    slow_step(SETTINGS, MOTOR, state, SAMPLE)
+    assert state.adaptive
+    state.watch.fallback = fallback
     slow_step(SETTINGS, MOTOR, state, SAMPLE)
     assert state.adaptive is (fallback == Fallback.NONE)
 
 
 def test_a_law_that_is_not_a_number_repeats_the_newest_input() -> None:
-    state = new_slow_state(SETTINGS, MOTOR, 3.0, REST_V)
+    state = SlowState(SETTINGS, MOTOR, 3.0, REST_V)
     state.inputs[:] = [290.0, *[280.0] * (len(state.inputs) - 1)]
     state.sent = 290.0
     asked = replace(SAMPLE, reference=math.nan, adaptive=False)
     assert slow_step(SETTINGS, MOTOR, state, asked) == 290.0
-
-
-def cycling(state: SlowState, sample: SlowSample, periods: int = 70) -> bool:
-    """Whether an output that swings across the set-point is called a limit cycle."""
-    settings = replace(SETTINGS, supervision=replace(JACKET, swing_min=0.1))
-    for number in range(periods):
-        state.supervisor.own_power, state.supervisor.fixed_power = 0.0, 1e12
-        state.supervisor.fixed_mean = 0.0
-        swinging = replace(sample, output=3.0 + 20.0 * (-1.0) ** number)
-        slow_step(settings, MOTOR, state, swinging)
-    return state.cycling
 
 
 def charged(state: SlowState, terminal_V: float, **changes: object) -> float:
@@ -347,7 +350,7 @@ def charged(state: SlowState, terminal_V: float, **changes: object) -> float:
 
 
 def test_the_current_of_a_battery_is_lowered_above_its_voltage_limit() -> None:
-    state = new_slow_state(SETTINGS, BATTERY, 10.0, 240.0)
+    state = SlowState(SETTINGS, BATTERY, 10.0, 240.0)
     charged(state, 58.4)
     assert state.charge.current_A == pytest.approx(10.0 - 0.05 * 0.4 / 0.2)
     assert state.reference == state.charge.current_A
@@ -356,7 +359,7 @@ def test_the_current_of_a_battery_is_lowered_above_its_voltage_limit() -> None:
 
 
 def test_an_operator_leads_the_current_of_a_battery_by_hand() -> None:
-    state = new_slow_state(SETTINGS, BATTERY, 10.0, 240.0)
+    state = SlowState(SETTINGS, BATTERY, 10.0, 240.0)
     state.charge.ending_periods = 5
     assert charged(state, 58.4, manual=True, held=250.0) == 250.0
     assert (state.charge.current_A, state.charge.ending_periods) == (10.0, 0)

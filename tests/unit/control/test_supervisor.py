@@ -1,4 +1,4 @@
-"""The supervisor's verdicts, warm-up and patience."""
+"""The supervisor's verdicts and warm-up, and what ends its trust."""
 
 import math
 from dataclasses import replace
@@ -10,19 +10,16 @@ from hypothesis import strategies as st
 
 from adaptdrive.control.settings import SupervisionLimits
 from adaptdrive.control.supervision.supervisor import (
-    SupervisorState,
+    Supervisor,
     Verdict,
-    compare_residuals,
-    judge_bounds,
-    judge_damping,
     judge_model,
     judge_poles,
-    judge_residual,
-    take_verdict,
 )
 
-JACKET = SupervisionLimits(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_periods=3)
+JACKET = SupervisionLimits(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, revokes=True)
 DAMPED = replace(JACKET, damping_min=0.8)
+NOMINAL = [0.011, 21.7, -117.0]
+OVERDAMPED = [1.0, 0.2, 0.001]
 WRONG = [
     Verdict.NOT_FINITE,
     Verdict.UNSTABLE_LOAD,
@@ -51,31 +48,37 @@ def test_a_model_that_is_no_number_or_has_no_dc_gain_is_refused(
 @pytest.mark.parametrize("ratio", [0.19, 8.1, -1.0, 0.0, math.nan, math.inf])
 @given(good=st.lists(st.floats(0.2, 8.0), min_size=3, max_size=3))
 def test_the_parameter_out_of_bounds_is_named(index: int, ratio: float, good: list[float]) -> None:
-    nominal, state = [0.011, 21.7, -117.0], SupervisorState()
-    values = [n * share for n, share in zip(nominal, good, strict=True)]
-    within = [value / n for value, n in zip(values, nominal, strict=True)]
+    judge = Supervisor(JACKET, NOMINAL)
+    values = [n * share for n, share in zip(NOMINAL, good, strict=True)]
+    within = [value / n for value, n in zip(values, NOMINAL, strict=True)]
     assume(0.2 <= min(within) <= max(within) <= 8.0)  # rounding aside
-    assert judge_bounds(values, nominal, JACKET, state) == Verdict.TRUSTED
-    values[index] = nominal[index] * ratio
-    assert judge_bounds(values, nominal, JACKET, state) == Verdict.OUT_OF_BOUNDS
-    assert state.out_of_bounds == index
+    assert judge.judge_parameters(values, OVERDAMPED) == Verdict.TRUSTED
+    assert judge.out_of_bounds(values) == -1
+    values[index] = NOMINAL[index] * ratio
+    assert judge.judge_parameters(values, OVERDAMPED) == Verdict.OUT_OF_BOUNDS
+    assert judge.out_of_bounds(values) == index
+
+
+def damping_of(denominator: list[float]) -> int:
+    """The verdict on a model whose parameters are nominal."""
+    return Supervisor(DAMPED, NOMINAL).judge_parameters(NOMINAL, denominator)
 
 
 @given(st.floats(0.01, 1e3), st.floats(0.01, 1e3))
 def test_every_load_with_real_time_constants_is_damped_enough(one_s: float, other_s: float) -> None:
     denominator = np.poly([-1.0 / one_s, -1.0 / other_s]).tolist()
-    assert judge_damping(denominator, DAMPED) == Verdict.TRUSTED
+    assert damping_of(denominator) == Verdict.TRUSTED
 
 
 @given(st.floats(-1.0, 2.0), st.floats(0.01, 1e3))
 def test_a_pair_is_refused_below_the_smallest_damping(damping: float, tau_s: float) -> None:
     assume(abs(damping - DAMPED.damping_min) > 1e-6)
     denominator = [1.0, 2.0 * damping / tau_s, 1.0 / tau_s**2]
-    refused = judge_damping(denominator, DAMPED) == Verdict.UNDERDAMPED
+    refused = damping_of(denominator) == Verdict.UNDERDAMPED
     assert refused == (damping < DAMPED.damping_min)
     for bad in ([1.0, math.nan, denominator[2]], [1.0, denominator[1], math.nan]):
-        assert judge_damping(bad, DAMPED) == Verdict.UNDERDAMPED
-    assert judge_damping([1.0, 1.0 / tau_s], DAMPED) == Verdict.TRUSTED  # of first order
+        assert damping_of(bad) == Verdict.UNDERDAMPED
+    assert damping_of([1.0, 1.0 / tau_s]) == Verdict.TRUSTED  # of first order
 
 
 @pytest.mark.parametrize("refusal", [Verdict.UNSTABLE_LOAD, Verdict.UNSTABLE_LOOP])
@@ -87,84 +90,95 @@ def test_poles_are_held_to_a_radius(refusal: Verdict) -> None:
     assert judge_poles([1.0, math.nan], refusal) == Verdict.NOT_FINITE
 
 
+def trusting(limits: SupervisionLimits = JACKET, good_periods: int = 0) -> Supervisor:
+    """A supervisor that trusts gains, after so many good estimates in a row."""
+    judge = Supervisor(limits, NOMINAL)
+    judge.verdict, judge.trusted, judge.good_periods = Verdict.TRUSTED, True, good_periods
+    return judge
+
+
 @pytest.mark.parametrize("refusal", WRONG)
-def test_a_refused_estimate_keeps_the_trusted_gains_until_patience_ends(refusal: Verdict) -> None:
-    state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True)
-    for _ in range(JACKET.patience_periods):
-        assert not take_verdict(state, refusal, JACKET, 100, in_force=True)
-        assert state.trusted
-    take_verdict(state, refusal, JACKET, 100, in_force=True)
-    assert not state.trusted
-    assert state.verdict == refusal
+@pytest.mark.parametrize("revokes", [False, True])
+@pytest.mark.parametrize("in_force", [False, True])
+def test_a_refused_estimate_never_acts_and_ends_the_trust_where_it_may_be_revoked(
+    refusal: Verdict, *, revokes: bool, in_force: bool
+) -> None:
+    judge = trusting(replace(JACKET, revokes=revokes))
+    for _ in range(100):
+        assert not judge.take_verdict(refusal, 100, in_force=in_force)
+        assert judge.trusted is not revokes
+        assert judge.verdict == refusal
 
 
 @pytest.mark.parametrize("doubt", [Verdict.UNCERTAIN, Verdict.UNDERDAMPED])
 @pytest.mark.parametrize("in_force", [False, True])
+@pytest.mark.parametrize("revokes", [False, True])
 def test_doubt_loses_only_the_gains_under_which_it_comes_up(
-    doubt: Verdict, *, in_force: bool
+    doubt: Verdict, *, in_force: bool, revokes: bool
 ) -> None:
-    hasty = replace(JACKET, patience_periods=0)
-    state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True, good_periods=9)
+    judge = trusting(replace(JACKET, revokes=revokes), good_periods=9)
     for _ in range(100):
-        assert not take_verdict(state, doubt, hasty, 100, in_force=in_force)
-        assert state.trusted is not in_force
+        assert not judge.take_verdict(doubt, 100, in_force=in_force)
+        assert judge.trusted is not (in_force and revokes)
 
 
 @given(
     st.lists(st.sampled_from([*WRONG, Verdict.TRUSTED]), max_size=30),
-    st.integers(0, 4),
+    st.booleans(),
     st.integers(0, 9),
 )
-def test_trust_begins_after_the_warm_up_and_lasts_as_long_as_patience(
-    verdicts: list[Verdict], patience: int, warm_up: int
+def test_trust_begins_after_the_warm_up_and_lasts_until_a_refusal_that_revokes_it(
+    verdicts: list[Verdict], revokes: bool, warm_up: int
 ) -> None:
-    supervision = replace(JACKET, patience_periods=patience, warm_up_periods=warm_up)
-    state, good = SupervisorState(), -100
+    limits = replace(JACKET, revokes=revokes, warm_up_periods=warm_up)
+    judge, earlier = Supervisor(limits, NOMINAL), False
     for periods, verdict in enumerate(verdicts, 1):
-        accepted = take_verdict(state, verdict, supervision, periods, in_force=True)
+        accepted = judge.take_verdict(verdict, periods, in_force=True)
         assert accepted == (verdict == Verdict.TRUSTED and periods > warm_up)
-        good = periods if accepted else good
-        assert state.trusted == (periods - good <= patience)
+        assert judge.trusted == (accepted or (earlier and not revokes))
+        earlier = earlier or accepted
         warming = verdict == Verdict.TRUSTED and not accepted
-        assert state.verdict == (Verdict.WARMING_UP if warming else verdict)
+        assert judge.verdict == (Verdict.WARMING_UP if warming else verdict)
 
 
 CRITICAL = replace(JACKET, residual_margin=1.5)
 
 
-def compared(own: list[float], fixed: list[float]) -> SupervisorState:
+def compared(own: list[float], fixed: list[float], limits: SupervisionLimits) -> Supervisor:
     """A supervisor that has seen innovations of the estimate and of the nominal model."""
-    state = SupervisorState()
+    judge = Supervisor(limits, NOMINAL)
     for one, other in zip(own, fixed, strict=True):
-        compare_residuals(state, one * one, other)
-    return state
+        judge.compare_residuals(one * one, other)
+    return judge
 
 
 @pytest.mark.parametrize(("ratio", "worse"), [(1.49, False), (1.51, True)])
 def test_an_estimate_that_predicts_worse_than_the_nominal_model_is_refused(
     ratio: float, worse: bool
 ) -> None:
-    state = compared([0.1 * ratio] * 400, [0.1] * 400)
+    own, fixed = [0.1 * ratio] * 400, [0.1] * 400
     expected = Verdict.WORSE_THAN_FIXED if worse else Verdict.TRUSTED
-    assert judge_residual(state, CRITICAL) == expected
-    assert judge_residual(state, JACKET) == Verdict.TRUSTED
+    assert compared(own, fixed, CRITICAL).judge_residual() == expected
+    assert compared(own, fixed, JACKET).judge_residual() == Verdict.TRUSTED
 
 
-def test_doubt_counts_once_it_has_come_up_under_gains_in_force() -> None:
-    """Doubt without a good estimate before it is lack of excitation, as long as it lasts."""
-    state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True, good_periods=1)
-    for _ in range(100):
-        take_verdict(state, Verdict.UNCERTAIN, JACKET, 100, in_force=True)
-    assert state.refused_periods == 1
-    assert state.trusted
+def test_doubt_counts_only_where_a_good_estimate_came_before_it() -> None:
+    """Doubt without one is lack of excitation, as long as it lasts, whatever law is in force."""
+    judge = trusting(good_periods=1)
+    for in_force in [False] + [True] * 100:
+        judge.take_verdict(Verdict.UNCERTAIN, 100, in_force=in_force)
+        assert judge.trusted
+    assert judge.take_verdict(Verdict.TRUSTED, 100, in_force=True)
+    judge.take_verdict(Verdict.UNCERTAIN, 100, in_force=True)
+    assert not judge.trusted
 
 
 def test_estimates_must_be_good_for_a_while_before_the_first_goes_live() -> None:
-    careful, state = replace(JACKET, dwell_periods=3), SupervisorState()
+    judge = Supervisor(replace(JACKET, dwell_periods=3), NOMINAL)
     course = [Verdict.TRUSTED] * 2 + [Verdict.UNSTABLE_LOOP] + [Verdict.TRUSTED] * 4
-    found = [take_verdict(state, verdict, careful, 200, in_force=False) for verdict in course]
+    found = [judge.take_verdict(verdict, 200, in_force=False) for verdict in course]
     assert found == [False] * 5 + [True] * 2
-    take_verdict(state, Verdict.UNCERTAIN, careful, 200, in_force=False)
-    assert not take_verdict(state, Verdict.TRUSTED, careful, 200, in_force=False)
-    assert state.verdict == Verdict.SETTLING
-    assert state.trusted
+    judge.take_verdict(Verdict.UNCERTAIN, 200, in_force=False)
+    assert not judge.take_verdict(Verdict.TRUSTED, 200, in_force=False)
+    assert judge.verdict == Verdict.SETTLING
+    assert judge.trusted

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -10,20 +11,19 @@ from hypothesis import strategies as st
 
 from adaptdrive.control.settings import SupervisionLimits
 from adaptdrive.control.supervision.monitor import (
+    AT_LIMIT,
+    SWINGS,
+    TIME_CONSTANTS,
+    CycleMonitor,
     Fallback,
-    LimitCycleState,
-    MonitorState,
-    latch_fallback,
-    monitor_limit_cycle,
-    monitor_loop,
-    monitor_response,
+    LoopMonitor,
 )
+from adaptdrive.control.thresholds import WINDOW
 
 JACKET = SupervisionLimits(
     warm_up_periods=0,
     ratio_min=0.2,
     ratio_max=6.0,
-    patience_periods=0,
     saturated_periods=240,
     error_limit=0.4,
     swing_min=0.05,
@@ -31,18 +31,36 @@ JACKET = SupervisionLimits(
     response_distance=0.05,
 )
 LAG = 20.0
+POLE = 0.7
+
+
+def armed(limits: SupervisionLimits = JACKET) -> LoopMonitor:
+    """A watch over a loop that has been calm since adaptive was asked for."""
+    watch = LoopMonitor(limits, 0.0)
+    assert look(watch) == Fallback.NONE
+    return watch
 
 
 def look(
-    state: MonitorState,
+    watch: LoopMonitor,
     *,
     error: float = 0.0,
     rest: float = 0.0,
     held: float = 0.0,
     saturated: bool = False,
-    supervision: SupervisionLimits = JACKET,
+    asked: bool = True,
 ) -> int:
-    return monitor_loop(state, supervision, error, error, rest, 0.7, held, saturated)
+    """One slow period; the reason that is kept after it."""
+    watch.check(
+        error=error,
+        strayed=error,
+        rest_distance=rest,
+        pole=POLE,
+        held_share=held,
+        saturated=saturated,
+        asked=asked,
+    )
+    return watch.fallback
 
 
 def first(reasons: list[int], expected: int = 0) -> int | None:
@@ -67,72 +85,97 @@ def first(reasons: list[int], expected: int = 0) -> int | None:
 )
 def test_a_limit_away_from_rest_falls_back(rests: list[float], expected: int | None) -> None:
     """The input is at its limit in all periods but where there is no number."""
-    state = MonitorState()
-    reasons = [look(state, rest=rest, saturated=not math.isnan(rest)) for rest in rests]
+    watch = armed()
+    reasons = [look(watch, rest=rest, saturated=not math.isnan(rest)) for rest in rests]
     assert first(reasons, Fallback.SATURATED) == expected
+
+
+LATE = int(TIME_CONSTANTS / (1.0 - POLE))
+"""Slow periods of ten time constants of the loop."""
 
 
 @pytest.mark.parametrize(
     ("errors", "expected"),
     [
-        ([0.5] * 40, 33),  # ten time constants of 1 / (1 - 0.7) periods
+        ([0.5] * 40, LATE),
         ([0.4] * 300, None),
         ([-0.39] * 300, None),
-        ([0.5] * 30 + [0.1] + [0.5] * 40, 31 + 33),
+        ([0.5] * 30 + [0.1] + [0.5] * 40, 31 + LATE),
     ],
 )
 def test_a_large_error_with_a_free_input_falls_back(
     errors: list[float], expected: int | None
 ) -> None:
-    state, limited = MonitorState(), MonitorState()
-    assert first([look(state, error=error) for error in errors], Fallback.ERROR) == expected
+    watch, limited = armed(), armed()
+    assert first([look(watch, error=error) for error in errors], Fallback.ERROR) == expected
     assert not any(look(limited, error=9.0, saturated=True) for _ in range(300))
 
 
 @pytest.mark.parametrize(
     ("errors", "expected"),
     [
-        ([0.06 * (-1.2) ** k for k in range(12)], 6),
-        ([0.05 * (-1.2) ** k for k in range(12)], 6),
-        ([0.049 * (-1.2) ** k for k in range(12)], 7),
+        ([0.06 * (-1.2) ** k for k in range(12)], SWINGS),
+        ([0.05 * (-1.2) ** k for k in range(12)], SWINGS),
+        ([0.049 * (-1.2) ** k for k in range(12)], SWINGS + 1),
         ([0.001 * (-1.2) ** k for k in range(20)], None),
         ([0.06 * (-1.0) ** k for k in range(12)], None),
         # a swing that does not grow begins the count anew
-        ([0.06 * 1.2 ** (k - (k > 4)) * (-1.0) ** k for k in range(11)], None),
+        ([0.06 * 1.2 ** (k - (k > SWINGS - 2)) * (-1.0) ** k for k in range(2 * SWINGS)], None),
         ([0.06 * 1.2**k * (k % 2) for k in range(40)], None),
         ([0.06 * 1.2**k * (1.0 + k % 2) for k in range(20)], None),
         # each side lasts three periods, and its peak is its largest error
-        ([0.06 * share * (-1.2) ** k for k in range(10) for share in (0.5, 1.0, 0.001)], 18),
+        (
+            [0.06 * share * (-1.2) ** k for k in range(10) for share in (0.5, 1.0, 0.001)],
+            3 * SWINGS,
+        ),
     ],
 )
-def test_six_swings_that_grow_fall_back(errors: list[float], expected: int | None) -> None:
-    state, supervision = MonitorState(), replace(JACKET, error_limit=0.0)
-    reasons = [look(state, error=error, supervision=supervision) for error in errors]
+def test_swings_that_grow_fall_back_when_they_are_enough_in_a_row(
+    errors: list[float], expected: int | None
+) -> None:
+    watch = armed(replace(JACKET, error_limit=0.0))
+    reasons = [look(watch, error=error) for error in errors]
     assert first(reasons, Fallback.OSCILLATING) == expected
 
 
 @pytest.mark.parametrize(("held", "expected"), [(0.5, 0), (0.51, Fallback.BLIND)])
 def test_failed_measurements_fall_back(held: float, expected: int) -> None:
-    assert look(MonitorState(), held=held) == expected
+    assert look(armed(), held=held) == expected
 
 
 def test_a_fallback_stays_until_adaptive_is_asked_for_anew() -> None:
-    """That forgets what the watch has counted; without adaptive nothing is latched."""
-    state = MonitorState(error_periods=30, swings=5)
-    course = [
-        (Fallback.ERROR, False, Fallback.NONE),
-        (0, True, Fallback.NONE),
-        (Fallback.ERROR, True, Fallback.ERROR),
-        (Fallback.BLIND, True, Fallback.ERROR),
-        (0, False, Fallback.ERROR),
-        (Fallback.BLIND, True, Fallback.NONE),
-    ]
-    for reason, asked, fallback in course:
-        latch_fallback(state, reason, asked=asked)
-        assert state.fallback == fallback
-        if asked and fallback == Fallback.NONE:
-            assert (state.error_periods, state.swings) == (0, 0)
-            state.error_periods, state.swings = 30, 5
+    """Asking forgets the errors that the watch has counted; without adaptive nothing is latched."""
+    watch = LoopMonitor(JACKET, 0.0)
+    assert not any(look(watch, error=0.5, asked=False) for _ in range(2 * LATE))
+    assert first([look(watch, error=0.5) for _ in range(2 * LATE)], Fallback.ERROR) == LATE + 1
+    assert look(watch, error=0.5, held=1.0) == Fallback.ERROR
+    assert look(watch, asked=False) == Fallback.ERROR
+    assert look(watch, held=1.0) == Fallback.NONE
+    assert first([look(watch, error=0.5) for _ in range(2 * LATE)], Fallback.ERROR) == LATE
+
+
+def test_asking_for_adaptive_forgets_the_swings_that_were_counted() -> None:
+    watch = LoopMonitor(replace(JACKET, error_limit=0.0), 0.0)
+    errors = [0.06 * (-1.2) ** k for k in range(12 + 2 * SWINGS)]
+    assert not any(look(watch, error=error, asked=False) for error in errors[:12])
+    reasons = [look(watch, error=error) for error in errors[12:]]
+    assert first(reasons, Fallback.OSCILLATING) == SWINGS
+
+
+def troubled(fallback: Fallback) -> LoopMonitor:
+    """A watch that has fallen back for a reason in this period."""
+    watch, last = armed(), Fallback.NONE
+    causes: dict[Fallback, list[dict[str, Any]]] = {
+        Fallback.BLIND: [{"held": 1.0}],
+        Fallback.SATURATED: [{"rest": 1.0, "saturated": True}] * 241,
+        Fallback.ERROR: [{"error": 0.5}] * (LATE + 1),
+        Fallback.OSCILLATING: [{"error": 0.06 * (-1.2) ** k} for k in range(SWINGS + 1)],
+    }
+    for cause in causes[fallback]:
+        assert last == Fallback.NONE
+        last = Fallback(look(watch, **cause))
+    assert last == fallback
+    return watch
 
 
 @pytest.mark.parametrize(
@@ -147,22 +190,21 @@ def test_a_fallback_stays_until_adaptive_is_asked_for_anew() -> None:
 def test_a_fallback_ends_when_its_cause_is_gone_but_for_a_loop_that_swings_by_itself(
     fallback: Fallback, ends: bool
 ) -> None:
-    state = MonitorState(asked=True)
-    for reason in [fallback] * 3 + [0] * 19:
-        latch_fallback(state, reason, asked=True)
-        assert state.fallback == fallback
-    latch_fallback(state, 0, asked=True)
-    assert state.fallback == (Fallback.NONE if ends else fallback)
+    """What is left are swings far too small to count."""
+    watch = troubled(fallback)
+    reasons = [look(watch, error=0.001 * (-1.0) ** k) for k in range(100)]
+    end = Fallback.NONE if ends else fallback
+    assert reasons == [fallback] * (WINDOW - 1) + [end] * (101 - WINDOW)
 
 
-@pytest.mark.parametrize("left", ["stuck_periods", "error_periods"])
-def test_what_is_left_of_a_cause_keeps_the_fallback(left: str) -> None:
-    state = MonitorState(asked=True)
-    latch_fallback(state, Fallback.SATURATED, asked=True)
-    setattr(state, left, 1)
-    for _ in range(100):
-        latch_fallback(state, 0, asked=True)
-    assert state.fallback == Fallback.SATURATED
+@pytest.mark.parametrize("left", [{"rest": 1.0, "saturated": True}, {"error": 0.5}])
+def test_what_is_left_of_a_cause_keeps_the_fallback(left: dict[str, Any]) -> None:
+    """For longer than a fallback lasts, but not for as long as would be a reason of its own."""
+    assert WINDOW < LATE
+    watch = troubled(Fallback.BLIND)
+    for _ in range(LATE):
+        assert look(watch, **left) == Fallback.BLIND
+    assert [look(watch) for _ in range(WINDOW)][-2:] == [Fallback.BLIND, Fallback.NONE]
 
 
 def response(
@@ -175,30 +217,27 @@ def response(
     seconds: int = 600,
 ) -> int | None:
     """Seconds until a trip, of a load that rests at one input and gets another one, its limit."""
-    state, output = MonitorState(fast=before, slow=before), gain * before
+    watch, output = LoopMonitor(JACKET, before), gain * before
     for second in range(seconds):
         if not dead:
             output += (1.0 - math.exp(-1.0 / lag_s)) * (gain * after - output)
-        if monitor_response(state, JACKET, after, LAG, output, saturated=True):
+        if watch.check_response(after, LAG, output, saturated=True):
             return second
     return None
 
 
 def test_a_moment_off_the_limit_begins_the_wait_for_a_response_anew() -> None:
-    state = MonitorState(fast=3.0, slow=3.0)
-    trips = [
-        monitor_response(state, JACKET, 4.4 + 0.1 * k, LAG, 3.0, saturated=k != 100)
-        for k in range(222)
-    ]
+    watch = LoopMonitor(JACKET, 3.0)
+    trips = [watch.check_response(4.4 + 0.1 * k, LAG, 3.0, saturated=k != 100) for k in range(222)]
     assert trips == [False] * 221 + [True]
 
 
 @pytest.mark.parametrize(("moved", "trips"), [(0.0499, True), (0.05, False), (-0.05, False)])
 def test_a_movement_of_the_response_distance_is_an_answer(moved: float, trips: bool) -> None:
     """Measured from where the output was when the input came to its limit."""
-    state = MonitorState(fast=0.0, slow=0.0)
+    watch = LoopMonitor(JACKET, 0.0)
     outputs = [0.0, moved, *[0.0] * 300]
-    found = [monitor_response(state, JACKET, 4.4, LAG, y, saturated=True) for y in outputs]
+    found = [watch.check_response(4.4, LAG, y, saturated=True) for y in outputs]
     assert found == [False] * 120 + [trips] * 182
 
 
@@ -206,9 +245,9 @@ def test_a_movement_of_the_response_distance_is_an_answer(moved: float, trips: b
 def test_the_smallest_load_must_move_by_the_response_distance(step: float, trips: bool) -> None:
     """A fifth of the way of the faster lag, of 4 periods, after the first period at the limit."""
     assert (0.2 * step * math.exp(-1.0 / 4.0) > 0.05) is trips
-    state = MonitorState(fast=3.0, slow=3.0)
+    watch = LoopMonitor(JACKET, 3.0)
     for _ in range(5000):
-        found = monitor_response(state, JACKET, 3.0 + step, LAG, 3.0, saturated=True)
+        found = watch.check_response(3.0 + step, LAG, 3.0, saturated=True)
     assert found is trips
 
 
@@ -236,9 +275,9 @@ def cycle_found(
     better: float = BETTER,
 ) -> int | None:
     """Periods until a limit cycle is found at a constant set-point."""
-    state = LimitCycleState()
+    watch = CycleMonitor(0.01)
     for number, position in enumerate(positions):
-        if monitor_limit_cycle(state, position, 1.0, 0.01, better, fixed=True):
+        if watch.check(position, 1.0, better, fixed=True):
             return number
     return None
 
@@ -264,7 +303,13 @@ def test_ways_far_apart_are_none(course: list[float], period: int | None) -> Non
 
 @pytest.mark.parametrize(
     ("low", "high", "cycles"),
-    [(0.1, 0.9, True), (0.101, 0.9, False), (0.1, 0.899, False), (-0.5, 1.5, True)],
+    [
+        (AT_LIMIT, 1.0 - AT_LIMIT, True),
+        (0.0999, 0.9001, True),
+        (0.101, 0.9, False),
+        (0.0999, 0.899, False),
+        (-0.5, 1.5, True),
+    ],
 )
 def test_a_tenth_of_the_range_from_a_limit_is_at_the_limit(
     low: float, high: float, cycles: bool
@@ -279,22 +324,15 @@ def test_an_estimate_must_predict_three_times_better(better: float, cycles: bool
 
 @pytest.mark.parametrize(("step", "cycles"), [(0.0078125, True), (0.0079, False)])
 def test_a_set_point_that_trembles_by_less_than_its_step_rests(step: float, cycles: bool) -> None:
-    state = LimitCycleState(reference=1.0)
-    seen = [
-        monitor_limit_cycle(
-            state, float(k % 2), 1.0 + (k % 2) * step, 0.0078125, BETTER, fixed=True
-        )
-        for k in range(200)
-    ]
+    watch = CycleMonitor(0.0078125)
+    seen = [watch.check(float(k % 2), 1.0 + (k % 2) * step, BETTER, fixed=True) for k in range(200)]
     assert any(seen) is cycles
 
 
 def test_the_adaptive_controller_begins_the_count_anew() -> None:
-    state = LimitCycleState()
+    watch = CycleMonitor(0.01)
     fixed = [True] * 50 + [False] + [True] * 200
-    seen = [
-        monitor_limit_cycle(state, float(k % 2), 1.0, 0.01, BETTER, f) for k, f in enumerate(fixed)
-    ]
+    seen = [watch.check(float(k % 2), 1.0, BETTER, f) for k, f in enumerate(fixed)]
     assert not any(seen[:50])
     # at the period of the other controller the input arrives at a limit already
     assert seen.index(True) == 50 + WAYS

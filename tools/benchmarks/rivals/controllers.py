@@ -18,7 +18,7 @@ from scipy.linalg import solve_discrete_are, toeplitz
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter, lfiltic
 
-from adaptdrive.control.design.pole_placement import desired_polynomial, equation, place
+from adaptdrive.control.design.pole_placement import Plant, desired_polynomial
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.loads.load import Load
 
@@ -152,7 +152,7 @@ class LeastSquares:
         self.spread = np.eye(len(self.theta))
         self.inputs, self.outputs = [task.rest] * 8, [task.output] * 8
         self.b, self.aim = list(b), task.output
-        self.r, self.s = place(equation(list(a), self.b), list(a), self.b, self.desired)
+        self.r, self.s = Plant(list(a), self.b).place(self.desired)
 
     @property
     def desired(self) -> list[float]:
@@ -196,7 +196,7 @@ class LeastSquares:
         """Pole placement for the estimate; a design that is not finite is not used."""
         a = [1.0, *-self.theta[: self.order]]
         b = [0.0, *self.theta[self.order : -1] * self.task.output / self.task.rest]
-        r, s = place(equation(a, b), a, b, self.desired)
+        r, s = Plant(a, b).place(self.desired)
         if np.all(np.isfinite([*r, *s])):
             self.r, self.s, self.b = r, s, b
 

@@ -8,12 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from adaptdrive.control.design.pole_placement import (
-    closed_loop,
-    desired_polynomial,
-    equation,
-    loop_gains,
-)
+from adaptdrive.control.design.pole_placement import Plant, desired_polynomial
 from adaptdrive.control.loads.load import Load
 from adaptdrive_sim.campaign.drawn import DrawnRun
 from adaptdrive_sim.course import Run
@@ -36,8 +31,8 @@ def step_response(task: Task, designed_for: Load, on: Load) -> Array:
     a, b = task.model(on)
     guessed_a, guessed_b = map(list, task.model(designed_for))
     desired = desired_polynomial(task.pole, 2 * designed_for.order)
-    gains = loop_gains(equation(guessed_a, guessed_b), guessed_a, guessed_b, desired)
-    loop = closed_loop(gains, list(a), list(b))
+    gains = Plant(guessed_a, guessed_b).gains(desired)
+    loop = Plant(list(a), list(b)).closed(gains)
     found: Array = lfilter(sum(gains[len(b) - 1 :]) * b, loop, np.ones(60))
     return found
 

@@ -39,8 +39,10 @@ additional delay of d periods the loop stays stable while |B S/A_f| |1 - z^-d| <
 """
 
 import math
+from dataclasses import dataclass
+from functools import cache
 
-from adaptdrive.control.design.pole_placement import desired_polynomial, kept_factor, place
+from adaptdrive.control.design.pole_placement import Plant, desired_polynomial, kept_factor
 from adaptdrive.control.thresholds import FEWEST
 from adaptdrive.control.vectors import Vector, copy_into, lacks, multiply
 
@@ -56,29 +58,25 @@ _HALVINGS = 6
 """Halvings of the way to the slowest poles, and to the fastest: found within 0.03 and 0.01."""
 
 
-def detuned_loop(
-    solved: Vector, a: Vector, b: Vector, pole: float, noise: float, limit: float
-) -> Vector:
+def detuned_loop(plant: Plant, pole: float, noise: float, limit: float) -> Vector:
     """Return A_c with the fastest poles that keep the noise of the input within its limit.
 
     Args:
-        solved: The `equation` of A and B.
-        a: A of the model.
-        b: B of the model.
+        plant: The model.
         pole: Closed-loop pole asked for.
         noise: σ_y of a slow sample, in the unit of the output.
         limit: Largest σ_u, in the unit of the input; 0 for none.
     """
-    kept, free = kept_factor(b, pole), len(b) - len(a)
-    found = slowed_loop(kept, len(a) - 1, free, pole, 0.0)
-    least = noise_gain(solved, a, b, found)
+    kept = kept_factor(plant.b, pole)
+    found = slowed_loop(plant, kept, pole, 0.0)
+    least = noise_gain(plant, found)
     if noise * least <= limit or not limit > 0.0:
         return found
     fast, slow = 0.0, 2.0 / (1.0 - 0.5**_HALVINGS)  # so that the last one towards it is 2
     for _ in range(_HALVINGS):
         slowness = 0.5 * (fast + slow)
-        loop = slowed_loop(kept, len(a) - 1, free, pole, slowness)
-        gain = noise_gain(solved, a, b, loop)
+        loop = slowed_loop(plant, kept, pole, slowness)
+        gain = noise_gain(plant, loop)
         within = noise * gain <= limit
         if within or gain < least:
             found, least = loop, 0.0 if within else gain
@@ -86,15 +84,14 @@ def detuned_loop(
     return found
 
 
-def slowed_loop(kept: Vector, order: int, free: int, pole: float, slowness: float) -> Vector:
+def slowed_loop(plant: Plant, kept: Vector, pole: float, slowness: float) -> Vector:
     """Return A_c for a slowness of -1 (all poles half of the pole asked for) to 0 (as asked).
 
     From there it goes on to 1 (observer poles) and 2 (all poles slow).
 
     Args:
+        plant: The model.
         kept: Factor of A_m that is not moved, [1.0] for none.
-        order: m.
-        free: Number of poles that nobody asks for.
         pole: Closed-loop pole asked for.
         slowness: -1 to 2.
     """
@@ -104,21 +101,19 @@ def slowed_loop(kept: Vector, order: int, free: int, pole: float, slowness: floa
     else:
         observer = OBSERVER_POLE * min(slowness, 1.0)
         moved = 1.0 - (1.0 - pole) * (1.0 - (1.0 - SLOWEST_SHARE) * max(slowness - 1.0, 0.0))
-    asked = multiply(kept, desired_polynomial(moved, 2 * order + 1 - len(kept)))
-    return multiply(asked, desired_polynomial(observer, free))
+    asked = multiply(kept, desired_polynomial(moved, 2 * plant.order + 1 - len(kept)))
+    return multiply(asked, desired_polynomial(observer, plant.free))
 
 
-def noise_gain(solved: Vector, a: Vector, b: Vector, loop: Vector) -> float:
+def noise_gain(plant: Plant, loop: Vector) -> float:
     """Return ‖S A / A_c‖₂ of the controller that gives a model this loop.
 
     Args:
-        solved: The `equation` of A and B.
-        a: A of the model.
-        b: B of the model.
+        plant: The model.
         loop: A_c, stable.
     """
-    _, s = place(solved, a, b, loop)
-    return impulse_norm(multiply(s, a), loop)
+    _, s = plant.place(loop)
+    return impulse_norm(multiply(s, plant.a), loop)
 
 
 def impulse_norm(numerator: Vector, denominator: Vector) -> float:
@@ -163,46 +158,50 @@ _NEXT = 0.875
 """Each frequency over the one before."""
 
 
-def fast_loop(
-    solved: Vector,
-    a: Vector,
-    b: Vector,
-    pole: float,
-    quiet: Vector,
-    noise: float,
-    limit: float,
-    circle: Vector,
-) -> Vector:
+def fast_loop(plant: Plant, pole: float, quiet: Vector, noise: float, limit: float) -> Vector:
     """Return A_f; A_q where no loop faster than asked keeps within the limits.
 
     Args:
-        solved: The `equation` of A and B.
-        a: A of the model.
-        b: B of the model.
+        plant: The model.
         pole: Closed-loop pole asked for.
         quiet: A_q.
         noise: σ_y of a slow sample, in the unit of the output.
         limit: Largest σ_u of the quiet law, in the unit of the input; 0 for A_q at any noise.
-        circle: That of `unit_circle` for as many entries as A_c has.
     """
-    kept, free, found = kept_factor(b, pole), len(b) - len(a), list(quiet)
+    kept, found = kept_factor(plant.b, pole), quiet
     if not limit > 0.0:
         return found
     fast, slow = -1.0, 0.0
     for _ in range(_HALVINGS):
         slowness = 0.5 * (fast + slow)
-        loop = slowed_loop(kept, len(a) - 1, free, pole, slowness)
-        r, s = place(solved, a, b, loop)
-        spent = noise * impulse_norm(multiply(s, a), loop)
-        if spent <= SPENT * limit and has_margins(multiply(a, r), multiply(b, s), loop, circle):
+        loop = slowed_loop(plant, kept, pole, slowness)
+        if noise * noise_gain(plant, loop) <= SPENT * limit and has_margins(plant, loop):
             found, slow = loop, slowness
         else:
             fast = slowness
     return found
 
 
-def unit_circle(count: int) -> Vector:
-    """Return what margins need at all frequencies, a row for each, the same in every slow period.
+def has_margins(plant: Plant, loop: Vector) -> bool:
+    """Return whether the controller that gives a model this loop keeps the margins.
+
+    Args:
+        plant: The model.
+        loop: A_c, stable.
+    """
+    r, s = plant.place(loop)
+    forward, back = multiply(plant.a, r), multiply(plant.b, s)
+    for row in _unit_circle(len(loop)):
+        least = MODULUS_MARGIN * MODULUS_MARGIN * _squared(forward, row)
+        least = max(least, row[len(row) - 1] * _squared(back, row))
+        if lacks(_squared(loop, row), least):
+            return False
+    return True
+
+
+@cache
+def _unit_circle(count: int) -> list[Vector]:
+    """Return what margins need at all frequencies, a row for each.
 
     Args:
         count: Coefficients of a polynomial in q^-1.
@@ -210,38 +209,43 @@ def unit_circle(count: int) -> Vector:
     Returns:
         Real and imaginary parts of its powers of q^-1, and |1 - z^-d|² at the end of the row.
     """
-    circle: Vector = []
-    angle = math.pi
+    circle, angle = list[Vector](), math.pi
     for _ in range(_FREQUENCIES):
+        row: Vector = []
         for i in range(count):
-            circle += [math.cos(i * angle), math.sin(i * angle)]
-        circle.append((2.0 * math.sin(0.5 * DELAY_MARGIN * angle)) ** 2)
+            row += [math.cos(i * angle), math.sin(i * angle)]
+        circle.append([*row, (2.0 * math.sin(0.5 * DELAY_MARGIN * angle)) ** 2])
         angle *= _NEXT
     return circle
 
 
-def has_margins(forward: Vector, back: Vector, loop: Vector, circle: Vector) -> bool:
-    """Return whether a loop keeps the margins.
-
-    Args:
-        forward: A R.
-        back: B S.
-        loop: A_c = A R + B S, stable.
-        circle: That of `unit_circle` for the entries of these.
-    """
-    row = len(circle) // _FREQUENCIES
-    for first in range(0, len(circle), row):
-        least = MODULUS_MARGIN * MODULUS_MARGIN * _squared(forward, circle, first)
-        least = max(least, circle[first + row - 1] * _squared(back, circle, first))
-        if lacks(_squared(loop, circle, first), least):
-            return False
-    return True
-
-
-def _squared(polynomial: Vector, circle: Vector, first: int) -> float:
-    """Return the squared size of a polynomial in q^-1 at the frequency that begins at an entry."""
+def _squared(polynomial: Vector, row: Vector) -> float:
+    """Return the squared size of a polynomial in q^-1 at the frequency of a row."""
     real, imaginary = 0.0, 0.0
     for i in range(len(polynomial)):
-        real += polynomial[i] * circle[first + 2 * i]
-        imaginary += polynomial[i] * circle[first + 2 * i + 1]
+        real += polynomial[i] * row[2 * i]
+        imaginary += polynomial[i] * row[2 * i + 1]
     return real * real + imaginary * imaginary
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """The adaptive law: two sets of gains for one plant.
+
+    Attributes:
+        plant: Discrete model of the estimate.
+        asked: A_m.
+        quiet_gains: Gains of the quiet law.
+        quiet_noise: σ_u of it, with the noise that is counted at the least.
+        fast_loop: A_c of the fast law.
+        fast_gains: Its gains.
+        fast_noise: σ_u of it.
+    """
+
+    plant: Plant
+    asked: Vector
+    quiet_gains: Vector
+    quiet_noise: float
+    fast_loop: Vector
+    fast_gains: Vector
+    fast_noise: float

@@ -50,71 +50,6 @@ def desired_polynomial(pole: float, count: int) -> Vector:
     return polynomial
 
 
-def equation(a: Vector, b: Vector) -> Vector:
-    """Return the equation of A and B, which is the same for every loop, eliminated.
-
-    Args:
-        a: A, first entry 1.
-        b: B, first entry (direct term) 0.
-
-    Returns:
-        Its matrix, and the pivots behind it.
-    """
-    integrating = vectors.multiply(a, [1.0, -1.0])
-    free = len(b) - 2
-    size = free + len(a)
-    matrix = [0.0] * (size * size)
-    for j in range(free):
-        for i in range(len(integrating)):
-            matrix[(i + j) * size + j] = integrating[i]
-    for j in range(len(a)):
-        for i in range(1, len(b)):
-            matrix[(i + j - 1) * size + free + j] = b[i]
-    pivots = vectors.eliminate(matrix, size)
-    return [*matrix, *pivots]
-
-
-def place(solved: Vector, a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
-    """Controller polynomials R and S for a closed loop with given poles.
-
-    Args:
-        solved: The `equation` of A and B.
-        a: A of the model.
-        b: B of the model.
-        desired: A_c, first entry 1, at most as long as A and B have taps together, plus one.
-
-    Returns:
-        R (first entry 1, R(1) = 0) and S; NaNs where A and B share a root.
-    """
-    integrating = vectors.multiply(a, [1.0, -1.0])
-    free = len(b) - 2
-    size = free + len(a)
-    right = [*desired[1:], *[0.0] * size][:size]
-    for i in range(len(a)):
-        right[i] -= integrating[i + 1]
-    solution = vectors.substitute(solved, solved[size * size :], right)
-    return vectors.multiply([1.0, *solution[:free]], [1.0, -1.0]), solution[free:]
-
-
-def loop_gains(solved: Vector, a: Vector, b: Vector, desired: Vector) -> Vector:
-    """Return what `place` does as gains: r_1 ... r_n, s_0 ... s_m."""
-    r, s = place(solved, a, b, desired)
-    return [*r[1:], *s]
-
-
-def closed_loop(gains: Vector, a: Vector, b: Vector) -> Vector:
-    """Return A R + B S: its roots are the poles of the loop that gains close around any A, B.
-
-    Args:
-        gains: r_1 ... r_n, s_0 ... s_m.
-        a: A, m + 1 entries.
-        b: B, n + 1 entries.
-    """
-    taps = len(gains) - len(a)
-    loop, back = vectors.multiply(a, [1.0, *gains[:taps]]), vectors.multiply(b, gains[taps:])
-    return [loop[i] + back[i] for i in range(len(loop))]
-
-
 # From a load model to the gains of the compensator, for both designs.
 
 _HALVINGS = 50
@@ -165,24 +100,6 @@ def discrete_model(
     return held_model(numerator, denominator, period_s, delay_ticks * tick_s, window_ticks * tick_s)
 
 
-def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
-    """Return the gains of the compensator for 2m equal poles, ordered as those of `loop_gains`.
-
-    Args:
-        a: A of the model.
-        b: B of the model.
-        order: m.
-        pole: The closed-loop pole.
-    """
-    return loop_gains(equation(a, b), a, b, asked_loop(b, order, pole))
-
-
-def asked_loop(b: Vector, order: int, pole: float) -> Vector:
-    """A_m: 2m equal poles, one of which gives way to a zero of the load that is cancelled."""
-    kept = kept_factor(b, pole)
-    return vectors.multiply(kept, desired_polynomial(pole, 2 * order + 1 - len(kept)))
-
-
 def kept_factor(b: Vector, pole: float) -> Vector:
     """The factor of A_m that cancels a zero of the load, [1.0] where none is cancelled.
 
@@ -222,14 +139,14 @@ _LONGEST = 10 * thresholds.WINDOW
 """Samples of a response that are compared at most: twice the delay of four poles at 0.96."""
 
 
-def possible_models(
+def possible_plants(
     settings: ControllerSettings,
     load: Load,
     values: Vector,
     root: Vector,
     period_s: float,
-) -> Vector:
-    """Return A and B of the estimate, and of p + c l_j and p - c l_j for each j, in one vector.
+) -> list["Plant"]:
+    """Return the plants of p + c l_j and p - c l_j for each j; none where L is not known.
 
     Args:
         settings: Design, and the confidence.
@@ -237,57 +154,14 @@ def possible_models(
         values: Estimated physical parameters p.
         root: L, flat, square.
         period_s: T_k.
-
-    Returns:
-        The models; NaN alone where nothing is known of the covariance.
     """
-    if not vectors.all_finite(root):
-        return [math.nan]
-    count, confidence = len(values), settings.supervision.confidence
-    models = _model(settings, load, values, period_s)
-    for j in range(count):
-        for sign in (confidence, -confidence):
-            moved = [values[i] + sign * root[i * count + j] for i in range(count)]
+    count, plants = len(values), list["Plant"]()
+    for column in range(count if vectors.all_finite(root) else 0):
+        for sign in (settings.supervision.confidence, -settings.supervision.confidence):
+            moved = [values[i] + sign * root[i * count + column] for i in range(count)]
             vertex = [max(moved[i], _SMALLEST_SHARE * values[i]) for i in range(count)]
-            models = [*models, *_model(settings, load, vertex, period_s)]
-    return models
-
-
-def _model(settings: ControllerSettings, load: Load, values: Vector, period_s: float) -> Vector:
-    numerator, denominator = load.realise(values)
-    a, b = discrete_model(settings, load, numerator, denominator, period_s)
-    return [*a, *b]
-
-
-def response_spread(
-    models: Vector, gains: Vector, loop: Vector, model_b: Vector, pole: float
-) -> float:
-    """Return how far the response to a step may be off, as a share of the step.
-
-    Args:
-        models: Those of `possible_models`.
-        gains: r_1 ... r_n, s_0 ... s_m.
-        loop: A_c, which they give the estimate.
-        model_b: B of the estimate.
-        pole: Pole asked for.
-
-    Returns:
-        The share; infinite where a load within the covariance makes the loop unstable, or nothing
-        is known of it.
-    """
-    if math.isnan(models[0]):
-        return math.inf
-    order, size = len(gains) - len(model_b), len(gains) + 1
-    driven = _driven(order, gains, loop, model_b, pole)
-    own = _response(order, models[:size], gains, driven)
-    squares = [0.0] * len(own)
-    for first in range(size, len(models), 2 * size):
-        ahead = _response(order, models[first : first + size], gains, driven)
-        behind = _response(order, models[first + size : first + 2 * size], gains, driven)
-        for i in range(len(own)):
-            largest = max(abs(ahead[i] - own[i]), abs(behind[i] - own[i]))
-            squares[i] += largest * largest
-    return math.sqrt(max(squares))
+            plants.append(Plant(*discrete_model(settings, load, *load.realise(vertex), period_s)))
+    return plants
 
 
 def is_stable(loop: Vector) -> bool:
@@ -295,19 +169,122 @@ def is_stable(loop: Vector) -> bool:
     return vectors.all_finite(loop) and vectors.is_stable(loop, STABLE_RADIUS)
 
 
-def _driven(order: int, gains: Vector, loop: Vector, b: Vector, pole: float) -> Vector:
-    """t0 r" of a unit step behind the reference filter, until the response has settled."""
-    asked = asked_loop(b, order, pole)
-    count = min(_LONGEST, round(4.0 * order * pole / (1.0 - pole)) + len(b))
-    share = vectors.total(gains[len(b) - 1 :]) * vectors.total(asked) / vectors.total(loop)
-    return _filtered([share * one for one in loop], asked, [1.0] * count)
+class Plant:
+    """A discrete model of a load, A y = B u, and the loops that controllers close around it.
+
+    Gains are r_1 ... r_n, s_0 ... s_m.
+
+    Attributes:
+        a: A, first entry 1.
+        b: B, first entry (direct term) 0.
+        order: m.
+        free: Number of poles that nobody asks for.
+    """
+
+    def __init__(self, a: Vector, b: Vector) -> None:
+        """Take a model.
+
+        Args:
+            a: A.
+            b: B.
+        """
+        self.a = a
+        self.b = b
+        self.order = len(a) - 1
+        self.free = len(b) - len(a)
+        self._solved: Vector = []
+
+    @property
+    def gain(self) -> float:
+        """The dc gain."""
+        return vectors.total(self.b) / vectors.total(self.a)
+
+    def asked(self, pole: float) -> Vector:
+        """A_m: 2m equal poles, one of which gives way to a zero of the load that is cancelled."""
+        kept = kept_factor(self.b, pole)
+        return vectors.multiply(kept, desired_polynomial(pole, 2 * self.order + 1 - len(kept)))
+
+    def place(self, loop: Vector) -> tuple[Vector, Vector]:
+        """Return controller polynomials R and S for a closed loop with given poles.
+
+        Args:
+            loop: A_c, first entry 1, at most as long as A and B have taps together, plus one.
+
+        Returns:
+            R (first entry 1, R(1) = 0) and S; NaNs where A and B share a root.
+        """
+        integrating, count = vectors.multiply(self.a, [1.0, -1.0]), len(self.b) - 2
+        size = count + len(self.a)
+        if not self._solved:  # the same for every loop
+            self._solved = _equation(integrating, self.b)
+        right = [*loop[1:], *[0.0] * size][:size]
+        for i in range(len(self.a)):
+            right[i] -= integrating[i + 1]
+        solution = vectors.substitute(self._solved, self._solved[size * size :], right)
+        return vectors.multiply([1.0, *solution[:count]], [1.0, -1.0]), solution[count:]
+
+    def gains(self, loop: Vector) -> Vector:
+        """Return the gains that place the poles of a loop A_c."""
+        r, s = self.place(loop)
+        return [*r[1:], *s]
+
+    def closed(self, gains: Vector) -> Vector:
+        """Return A R + B S: its roots are the poles of the loop that gains close."""
+        taps = len(gains) - len(self.a)
+        loop = vectors.multiply(self.a, [1.0, *gains[:taps]])
+        back = vectors.multiply(self.b, gains[taps:])
+        return [loop[i] + back[i] for i in range(len(loop))]
+
+    def response_spread(self, possible: list["Plant"], loop: Vector, pole: float) -> float:
+        """Return how far the response to a step may be off, as a share of the step.
+
+        Args:
+            possible: Those of `possible_plants`.
+            loop: A_c of the loop that is designed for this plant.
+            pole: Pole asked for.
+
+        Returns:
+            The share; infinite where a load within the covariance makes the loop unstable, or
+            nothing is known of it.
+        """
+        gains = self.gains(loop)
+        driven = self._driven(gains, loop, pole)
+        own = self.response(gains, driven)
+        squares = [0.0 if possible else math.inf] * len(own)
+        for j in range(0, len(possible), 2):
+            ahead = possible[j].response(gains, driven)
+            behind = possible[j + 1].response(gains, driven)
+            for i in range(len(own)):
+                largest = max(abs(ahead[i] - own[i]), abs(behind[i] - own[i]))
+                squares[i] += largest * largest
+        return math.sqrt(max(squares))
+
+    def _driven(self, gains: Vector, loop: Vector, pole: float) -> Vector:
+        """t0 r" of a unit step behind the reference filter, until the response has settled."""
+        asked = self.asked(pole)
+        settled = round(4.0 * self.order * pole / (1.0 - pole)) + len(self.b)
+        share = vectors.total(gains[len(self.b) - 1 :]) * vectors.total(asked) / vectors.total(loop)
+        return _filtered([share * one for one in loop], asked, [1.0] * min(_LONGEST, settled))
+
+    def response(self, gains: Vector, driven: Vector) -> Vector:
+        """y[k] in the loop of some gains; infinite where that is not stable."""
+        loop = self.closed(gains)
+        return _filtered(self.b, loop, driven) if is_stable(loop) else [math.inf] * len(driven)
 
 
-def _response(order: int, model: Vector, gains: Vector, driven: Vector) -> Vector:
-    """y[k] of a load in the loop of some gains; infinite where that is not stable."""
-    a, b = model[: order + 1], model[order + 1 :]
-    loop = closed_loop(gains, a, b)
-    return _filtered(b, loop, driven) if is_stable(loop) else [math.inf] * len(driven)
+def _equation(integrating: Vector, b: Vector) -> Vector:
+    """Return the matrix of A (1 - q^-1) R' + B S, eliminated, and the pivots behind it."""
+    free, feedback = len(b) - 2, len(integrating) - 1
+    size = free + feedback
+    matrix = [0.0] * (size * size)
+    for j in range(free):
+        for i in range(len(integrating)):
+            matrix[(i + j) * size + j] = integrating[i]
+    for j in range(feedback):
+        for i in range(1, len(b)):
+            matrix[(i + j - 1) * size + free + j] = b[i]
+    pivots = vectors.eliminate(matrix, size)
+    return [*matrix, *pivots]
 
 
 def _filtered(numerator: Vector, denominator: Vector, signal: Vector) -> Vector:

@@ -38,15 +38,14 @@ the output on this course as on any other, and the noise of its input stays with
 """
 
 import math
-from dataclasses import dataclass
 
 from adaptdrive.control import vectors
+from adaptdrive.control.design.pole_placement import Plant
 from adaptdrive.control.vectors import Vector
 
 # Reference filter: the response that is asked for, from a loop that may have other poles.
 
 
-@dataclass(slots=True)
 class ReferenceFilter:
     """Reference filter of the adaptive law, and what its preview has planned.
 
@@ -59,19 +58,20 @@ class ReferenceFilter:
         moved: m[k] - m*[k].
     """
 
-    asked: Vector
-    loop: Vector
-    course: Vector
-    ideal: Vector
-    offset: float = math.nan
-    moved: float = 0.0
+    def __init__(self, order: int, taps: int) -> None:
+        """Begin without a design; the course begins at the first reference.
 
-
-def new_reference_filter(order: int, taps: int) -> ReferenceFilter:
-    """Return a filter without a design, whose course begins at the first reference."""
-    count = order + taps + 1
-    unknown = [math.nan] * count
-    return ReferenceFilter([0.0] * (2 * order + 1), [0.0] * count, unknown, list(unknown))
+        Args:
+            order: m.
+            taps: n, past inputs of the law.
+        """
+        count = order + taps + 1
+        self.asked = [0.0] * (2 * order + 1)
+        self.loop = [0.0] * count
+        self.course = [math.nan] * count
+        self.ideal = [math.nan] * count
+        self.offset = math.nan
+        self.moved = 0.0
 
 
 def filter_reference(state: ReferenceFilter, reference: float, planned: float = math.nan) -> float:
@@ -192,10 +192,10 @@ def rest(state: ReferenceFilter) -> None:
 
 def plan(
     state: ReferenceFilter,
-    a: Vector,
-    b: Vector,
+    plant: Plant,
     references: Vector,
     last_input: float,
+    *,
     free: bool,
     pole: float,
     low: float,
@@ -206,8 +206,7 @@ def plan(
 
     Args:
         state: A_m and m[k-1] ... m[k-1-n]; ideal course, offset and movement are overwritten.
-        a: A of the model.
-        b: B of the model.
+        plant: The model.
         references: r'[k] and those to come.
         last_input: u[k-1] as sent.
         free: Whether no limit has changed it: a limit shows from one side only what f may be.
@@ -219,7 +218,7 @@ def plan(
     past, asked = len(state.course), state.asked
     pulled = [vectors.total(asked) * one for one in references]
     law = vectors.follow(asked, state.course, pulled)
-    needed = [one / vectors.total(b) for one in vectors.multiply(a, law)]
+    needed = [one / vectors.total(plant.b) for one in vectors.multiply(plant.a, law)]
     added = last_input - needed[past - 1]
     if not math.isfinite(state.offset):
         state.offset = added if free else 0.0
@@ -232,7 +231,7 @@ def plan(
     wanted = needed[past : past + AHEAD]
     found = law[past]
     if min(wanted) < low or max(wanted) > high:
-        found = _planned(a, b, state.course, ideal[past:], wanted, low, high)
+        found = _planned(plant, state.course, ideal[past:], wanted, low, high)
         known = [*references, state.course[0]]  # not beyond a level to be nearer to the next
         found = min(max(found, min(known)), max(known))
     state.moved = found - ideal[past]
@@ -240,19 +239,12 @@ def plan(
 
 
 def _planned(
-    a: Vector,
-    b: Vector,
-    course: Vector,
-    ideal: Vector,
-    wanted: Vector,
-    low: float,
-    high: float,
+    plant: Plant, course: Vector, ideal: Vector, wanted: Vector, low: float, high: float
 ) -> float:
     """Return m[k] of the plan.
 
     Args:
-        a: A of the model.
-        b: B of the model.
+        plant: The model.
         course: m[k-1] and those before.
         ideal: The course asked for, from now on.
         wanted: Input of the law less f, from now on.
@@ -260,36 +252,35 @@ def _planned(
         high: Highest input, less f.
     """
     inputs = [min(max(one, low), high) for one in wanted]
-    given = _answer(a, b, course, inputs)
+    given = _answer(plant, course, inputs)
     gap = [ideal[i] - given[i] for i in range(AHEAD)]
     parts = [inputs[MOVES[j] : MOVES[j + 1]] for j in range(len(MOVES) - 1)]
     lowest, highest = [low - min(part) for part in parts], [high - max(part) for part in parts]
-    return given[0] + _added(a, b, gap, lowest, highest)
+    return given[0] + _added(plant, gap, lowest, highest)
 
 
-def _added(a: Vector, b: Vector, gap: Vector, lowest: Vector, highest: Vector) -> float:
+def _added(plant: Plant, gap: Vector, lowest: Vector, highest: Vector) -> float:
     """Return what the plan adds to m[k].
 
     Args:
-        a: A of the model.
-        b: B of the model.
+        plant: The model.
         gap: The course asked for less that of the limited law, from now on.
         lowest: Least δ between each two changes.
         highest: Largest δ.
     """
-    count, rest_course = len(lowest), [0.0] * len(a)
+    count, rest_course = len(lowest), [0.0] * len(plant.a)
     answers = []
     for j in range(count):
         moved = [1.0 if MOVES[j] <= i < MOVES[j + 1] else 0.0 for i in range(AHEAD)]
-        answers.append(_answer(a, b, rest_course, moved))
+        answers.append(_answer(plant, rest_course, moved))
     matrix = [vectors.dot(one, other) for one in answers for other in answers]
     for j in range(0, len(matrix), count + 1):
-        matrix[j] += UNREST * (vectors.total(b) / vectors.total(a)) ** 2
+        matrix[j] += UNREST * plant.gain**2
     right = [vectors.dot(one, gap) for one in answers]
     return answers[0][0] * minimise(matrix, right, lowest, highest)[0]
 
 
-def _answer(a: Vector, b: Vector, course: Vector, inputs: Vector) -> Vector:
+def _answer(plant: Plant, course: Vector, inputs: Vector) -> Vector:
     """Return how a course, newest first, goes on with these inputs."""
-    gained = [vectors.total(b) * one for one in inputs]
-    return vectors.follow(a, course, gained)[len(course) :]
+    gained = [vectors.total(plant.b) * one for one in inputs]
+    return vectors.follow(plant.a, course, gained)[len(course) :]

@@ -31,38 +31,22 @@ the bank has to assume. The incremental model is in force from Λ > 20 to Λ < 0
 """
 
 import math
-from dataclasses import dataclass
 
 from adaptdrive.control import thresholds
-from adaptdrive.control.estimation import change, rls
-from adaptdrive.control.estimation.branch import (
-    Branch,
-    Observation,
-    copy_estimate,
-    learn_sample,
-    new_branch,
-    predict_sample,
-    squared_error,
-    teaches,
-    widen_last,
-)
-from adaptdrive.control.estimation.regression import fill_initial_state
-from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import EstimatorSettings
+from adaptdrive.control.estimation import change
+from adaptdrive.control.estimation.change import Branch, ChangeDetector
+from adaptdrive.control.estimation.regression import Observation, Regression
+from adaptdrive.control.estimation.rls import Residuals
 
 # The bank: branches that split at an alarm.
 
-_ROOM = 12
+_ROOM = 3 * (1 + len(change.ODDS_AGAINST))
 """Most branches that are followed: those of three alarms in a row, none of them decided yet."""
 
-_OUTLIER = 30.0
-"""Largest z² that counts, 5.5 σ: a sample that is worse than that is bad for every branch."""
-
-_LEAD = 3.0
-"""Lead from which another branch becomes the estimate: odds of 20 to 1."""
+_OUTLIER = 2.0 * (thresholds.RARE + thresholds.CLEAR)
+"""Largest z² that counts: one sample alone, 5.5 σ off, speaks clearly for a disturbance."""
 
 
-@dataclass(slots=True)
 class Bank:
     """The branches, and the sample at which they may split.
 
@@ -72,101 +56,101 @@ class Bank:
         point: The last sample.
     """
 
-    branches: list[Branch]
-    estimate: Branch
-    point: change.ChangePoint
+    def __init__(self, regression: Regression) -> None:
+        """Begin with one branch.
 
+        Args:
+            regression: What is learnt.
+        """
+        self._regression = regression
+        self.estimate = Branch(regression)
+        self.branches = [self.estimate]
+        self.point = Observation(regression.size)
 
-def new_bank(count: int) -> Bank:
-    """Return a bank of one branch for θ of a length."""
-    estimate = new_branch(count)
-    return Bank([estimate], estimate, change.ChangePoint([0.0] * count, [0.0] * count))
+    def learn(self, detector: ChangeDetector, sample: Observation) -> bool:
+        """Let every branch predict and learn a sample.
 
+        Args:
+            detector: Overwritten.
+            sample: What the estimate has predicted; the functions of the initial state in it are
+                those of the estimate afterwards.
 
-def learn_branches(
-    bank: Bank,
-    detector: change.ChangeDetector,
-    learning: EstimatorSettings,
-    load: Load,
-    sample: Observation,
-) -> bool:
-    """Let every branch predict and learn a sample.
+        Returns:
+            Whether another branch has become the estimate.
+        """
+        learning, power = self._regression.learning, detector.noise_power(sample.rounding)
+        rho = learning.forgetting
+        for one in self.branches:
+            if one is not self.estimate:
+                one.predict_sample(sample)
+            one.score += _likelihood(one, power, rho)
+            one.age += 1
+        best = self._most_probable()
+        if detector.is_change(best.squared_error(rho), power):
+            self._split(best, sample, power)
+        for one in self.branches:
+            if one.excitation > learning.gate * (1.0 - rho):
+                one.learn_sample(sample)
+        another = self._choose()
+        self._regression.fill_state(sample.regressor, sample.time_s - self.estimate.origin_s)
+        self.point.assign(sample)
+        return another
 
-    Args:
-        bank: Overwritten; its estimate has predicted the sample.
-        detector: Overwritten.
-        learning: Scales, forgetting and gate.
-        load: Order and structure.
-        sample: The functions of the initial state in it are those of the estimate afterwards.
+    @property
+    def is_contested(self) -> bool:
+        """Whether another branch than the estimate may be right: a young or a probable one."""
+        return any(
+            one.age < thresholds.EARLIEST or one.score > -thresholds.RARE
+            for one in self.branches
+            if one is not self.estimate
+        )
 
-    Returns:
-        Whether another branch has become the estimate.
-    """
-    power = change.noise_power(detector, sample.rounding)
-    for one in bank.branches:
-        if one is not bank.estimate:
-            predict_sample(one, learning, load, sample)
-        one.score += _likelihood(one, power, learning.forgetting)
-        one.age += 1
-    best = _most_probable(bank)
-    if change.is_change(detector, squared_error(best, learning.forgetting), power):
-        bank.point.power, bank.point.gap_s = power, sample.time_s - bank.point.time_s
-        _split(bank, best, learning, load, sample)
-    for one in bank.branches:
-        if teaches(one, learning):
-            fill_initial_state(sample.regressor, learning, load, sample.time_s - one.origin_s)
-            learn_sample(one, sample, learning, learning.gate)
-    another = _choose(bank)
-    since_s = sample.time_s - bank.estimate.origin_s
-    fill_initial_state(sample.regressor, learning, load, since_s)
-    change.note_sample(bank.point, sample)
-    return another
+    def _most_probable(self) -> Branch:
+        best = self.estimate
+        for one in self.branches:
+            if one.score > best.score:
+                best = one
+        return best
+
+    def _split(self, parent: Branch, sample: Observation, power: float) -> None:
+        """Add a child of a branch for each kind of change; each predicts the sample too."""
+        rho, point = self._regression.learning.forgetting, self.point
+        before = parent.score - _likelihood(parent, power, rho)
+        for kind, odds in change.ODDS_AGAINST.items():
+            child = Branch(self._regression)
+            child.assign(parent)
+            child.kind = kind
+            child.restart_past(point.time_s)
+            child.open_for(kind, point, power, sample.time_s - point.time_s)
+            child.predict_sample(sample)
+            child.score = before - odds + _likelihood(child, power, rho)
+            self.branches.append(child)
+
+    def _choose(self) -> bool:
+        """Make the most probable branch the estimate if it is clearly ahead; end improbable ones.
+
+        Returns:
+            Whether another branch has become the estimate.
+        """
+        best, believed = self._most_probable(), self.estimate
+        if best.score - believed.score > thresholds.RARE:
+            self.estimate = best
+            believed.age = 0  # only clear odds end what was the estimate
+        top = best.score
+        for one in self.branches:
+            one.score -= top
+        kept = [one for one in self.branches if one is self.estimate or _is_possible(one)]
+        while len(kept) > _ROOM:
+            worst = min((one for one in kept if one is not self.estimate), key=_score)
+            kept = [one for one in kept if one is not worst]
+        self.branches = kept
+        return self.estimate is not believed
 
 
 def _likelihood(branch: Branch, power: float, forgetting: float) -> float:
     """Return the logarithm of the likelihood of the last prediction, up to a constant."""
-    squared = squared_error(branch, forgetting) / power
+    squared = branch.squared_error(forgetting) / power
     return -0.5 * (math.log(1.0 + branch.excitation / forgetting) + min(squared, _OUTLIER))
-
-
-def _most_probable(bank: Bank) -> Branch:
-    best = bank.estimate
-    for one in bank.branches:
-        if one.score > best.score:
-            best = one
-    return best
-
-
-def _split(
-    bank: Bank, parent: Branch, learning: EstimatorSettings, load: Load, sample: Observation
-) -> None:
-    """Add a child of a branch for each kind of change; each predicts the sample too."""
-    power, rho = bank.point.power, learning.forgetting
-    before = parent.score - _likelihood(parent, power, rho)
-    for kind, odds in change.ODDS_AGAINST.items():
-        child = new_branch(len(parent.theta))
-        child.kind = kind
-        copy_estimate(child, parent)
-        change.restart_past(child, learning, load, bank.point.time_s)
-        change.widen(child, kind, learning, load, bank.point)
-        predict_sample(child, learning, load, sample)
-        child.score = before - odds + _likelihood(child, power, rho)
-        bank.branches.append(child)
-
-
-def _choose(bank: Bank) -> bool:
-    """Make the most probable branch the estimate if it is clearly ahead; end improbable ones."""
-    best, believed = _most_probable(bank), bank.estimate
-    if best.score - believed.score > _LEAD:
-        bank.estimate = best
-        believed.age = 0  # only clear odds end what was the estimate
-    top = best.score
-    for one in bank.branches:
-        one.score -= top
-    bank.branches = [one for one in bank.branches if one is bank.estimate or _is_possible(one)]
-    while len(bank.branches) > _ROOM:
-        _drop_least_probable(bank)
-    return bank.estimate is not believed
 
 
 def _is_possible(branch: Branch) -> bool:
@@ -176,18 +160,8 @@ def _is_possible(branch: Branch) -> bool:
     return branch.score > -thresholds.CLEAR and branch.age <= thresholds.LIFE
 
 
-def _drop_least_probable(bank: Bank) -> None:
-    others = [one for one in bank.branches if one is not bank.estimate]
-    worst = min(others, key=lambda one: one.score)
-    bank.branches = [one for one in bank.branches if one is not worst]
-
-
-def is_contested(bank: Bank) -> bool:
-    """Return whether another branch than the estimate may be right: a young or a probable one."""
-    return any(
-        one is not bank.estimate and (one.age < thresholds.EARLIEST or one.score > -_LEAD)
-        for one in bank.branches
-    )
+def _score(branch: Branch) -> float:
+    return branch.score
 
 
 # The incremental model: its bias is a random walk, for a disturbance that never rests.
@@ -195,112 +169,85 @@ def is_contested(bank: Bank) -> bool:
 _WALK = 30.0
 """Random walk of the bias in σ for each slow period: the last sample says nearly all of it."""
 
-_RATE = 1.0 / thresholds.FEWEST
-"""Rate of the medians, a factor of 2 in 4 samples: a start with another load is soon forgotten."""
-
 _SWINGING = 2.0 * thresholds.CLEAR
 """Λ from which it is in force, twice what decides between estimates whose noise is known: a swing
 has 90 to 110, noise of 5 % after a change up to 40."""
 
 
-@dataclass(slots=True)
 class IncrementalModel:
     """The second estimate, and how well both have predicted.
 
     Attributes:
         branch: θ, P and origin.
-        power: σ² of its innovations, scaled.
-        other: σ² of the innovations of the estimate whose bias rests.
         lead: Λ.
-        samples: Samples seen.
         in_force: Whether it is the estimate.
-        residual_power: Forgetting sum of squared normalised innovations.
-        residual_weight: Forgetting count of them.
+        residuals: Its innovations.
     """
 
-    branch: Branch
-    power: float = thresholds.NOISE_FLOOR
-    other: float = thresholds.NOISE_FLOOR
-    lead: float = 0.0
-    samples: int = 0
-    in_force: bool = False
-    residual_power: float = 0.0
-    residual_weight: float = 0.0
+    def __init__(self, regression: Regression) -> None:
+        """Begin where the other estimate is.
 
+        Args:
+            regression: What is learnt.
+        """
+        self._regression = regression
+        self.branch = Branch(regression)
+        self._power = thresholds.NOISE_FLOOR  # σ² of its innovations, scaled
+        self._other = thresholds.NOISE_FLOOR  # σ² of those of the estimate whose bias rests
+        self.restart()
 
-def applies(learning: EstimatorSettings) -> bool:
-    """Return whether a model has a bias that may walk; the EMF of a battery walks already."""
-    return learning.bias and not learning.charge
+    def restart(self) -> None:
+        """Begin at the estimate whose bias rests, and compare anew."""
+        self._samples = 0
+        self.lead = 0.0
+        self.in_force = False
+        self.residuals = Residuals()
 
+    def follow(self, sample: Observation, estimate: Branch) -> None:
+        """Predict and learn a sample, and compare.
 
-def restart(incremental: IncrementalModel) -> None:
-    """Begin at the estimate whose bias rests, and compare anew."""
-    incremental.samples = 0
-    incremental.lead = incremental.residual_power = incremental.residual_weight = 0.0
-    incremental.in_force = False
+        Args:
+            sample: The functions of the initial state in it are overwritten.
+            estimate: The estimate whose bias rests, which has predicted the sample.
+        """
+        learning, branch = self._regression.learning, self.branch
+        rho, bias = learning.forgetting, self._regression.size - 1
+        if self._samples == 0:
+            branch.assign(estimate)
+        squared = estimate.squared_error(rho)
+        branch.predict_sample(sample)
+        own = branch.squared_error(rho)
+        # below it better predictions show nothing
+        least = max(thresholds.NOISE_FLOOR, sample.rounding**2)
+        self._samples += 1
+        if self._samples > thresholds.WINDOW:
+            gain = _loss(squared, estimate.excitation / rho, self._other, least)
+            gain -= _loss(own, branch.excitation / rho, self._power, least)
+            self.lead += gain - self.lead / thresholds.MEMORY
+        self._follow_noise(own, squared)
+        if own > (change.DRIFT + change.THRESHOLD) * self._power:
+            branch.widen_entry(bias, branch.innovation * branch.innovation / self._power)
+        branch.update_beside(sample.regressor, sample.target, rho, learning.gate, 1)
+        branch.widen_entry(bias, _WALK * _WALK)
+        self.residuals.remember(branch, rho)
 
+    def charge_disturbance(self, estimate: Branch) -> None:
+        """Charge a bias that rests for a disturbance that it had to assume: it is rare.
 
-def follow_incremental(
-    incremental: IncrementalModel,
-    learning: EstimatorSettings,
-    load: Load,
-    sample: Observation,
-    estimate: Branch,
-) -> None:
-    """Let the second estimate predict and learn a sample, and compare.
+        Args:
+            estimate: The branch that has just become the estimate.
+        """
+        if estimate.kind == change.DISTURBANCE:
+            self.lead += thresholds.RARE
 
-    Args:
-        incremental: Overwritten; it begins where the other estimate is.
-        learning: Forgetting and gate.
-        load: Order.
-        sample: The functions of the initial state in it are overwritten.
-        estimate: The estimate whose bias rests, which has predicted the sample.
-    """
-    if not applies(learning):
-        return
-    branch, rho = incremental.branch, learning.forgetting
-    if incremental.samples == 0:
-        copy_estimate(branch, estimate)
-    squared = squared_error(estimate, rho)
-    predict_sample(branch, learning, load, sample)
-    own = squared_error(branch, rho)
-    # below it better predictions show nothing
-    least = max(thresholds.NOISE_FLOOR, sample.rounding**2)
-    incremental.samples += 1
-    if incremental.samples > thresholds.WINDOW:
-        gain = _loss(squared, estimate.excitation / rho, incremental.other, least)
-        gain -= _loss(own, branch.excitation / rho, incremental.power, least)
-        incremental.lead += gain - incremental.lead / thresholds.MEMORY
-    _follow_noise(incremental, own, squared)
-    if own > (change.DRIFT + change.THRESHOLD) * incremental.power:
-        widen_last(branch, branch.innovation * branch.innovation / incremental.power)
-    theta, regressor, target = branch.theta, sample.regressor, sample.target
-    upper, diagonal = branch.upper, branch.diagonal
-    rls.update_beside(theta, upper, diagonal, regressor, target, rho, learning.gate, 1)
-    widen_last(branch, _WALK * _WALK)
-    incremental.residual_power = rho * incremental.residual_power + own
-    incremental.residual_weight = rho * incremental.residual_weight + 1.0
-
-
-def charge_disturbance(incremental: IncrementalModel, estimate: Branch) -> None:
-    """Charge a bias that rests for a disturbance that it had to assume: it is as rare as its odds.
-
-    Args:
-        incremental: Λ is overwritten.
-        estimate: The branch that has just become the estimate.
-    """
-    if estimate.kind == change.DISTURBANCE:
-        incremental.lead += thresholds.RARE
-
-
-def _follow_noise(incremental: IncrementalModel, own: float, squared: float) -> None:
-    """Let the medians follow a sample, and choose the estimate in force."""
-    if incremental.samples == 1:
-        incremental.power, incremental.other = own, squared
-    least = thresholds.NOISE_FLOOR / (_WALK * _WALK)
-    incremental.power = max(least, change.move_median(incremental.power, own, _RATE))
-    incremental.other = max(least, change.move_median(incremental.other, squared, _RATE))
-    incremental.in_force = incremental.lead > (0.0 if incremental.in_force else _SWINGING)
+    def _follow_noise(self, own: float, squared: float) -> None:
+        """Let the medians follow a sample, and choose the estimate in force."""
+        if self._samples == 1:
+            self._power, self._other = own, squared
+        least = thresholds.NOISE_FLOOR / (_WALK * _WALK)
+        self._power = max(least, change.move_median(self._power, own, change.FAST_RATE))
+        self._other = max(least, change.move_median(self._other, squared, change.FAST_RATE))
+        self.in_force = self.lead > (0.0 if self.in_force else _SWINGING)
 
 
 def _loss(squared: float, excitation: float, power: float, least: float) -> float:

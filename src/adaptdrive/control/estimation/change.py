@@ -27,13 +27,10 @@ its input: inertia, volume. Either may come with the other, and with another gai
 """
 
 import math
-from dataclasses import dataclass
 
 from adaptdrive.control import thresholds, vectors
-from adaptdrive.control.estimation import regression, rls
-from adaptdrive.control.estimation.branch import Branch, Observation
-from adaptdrive.control.loads.load import Load
-from adaptdrive.control.settings import EstimatorSettings
+from adaptdrive.control.estimation.regression import Observation, Regression
+from adaptdrive.control.estimation.rls import Estimate
 from adaptdrive.control.vectors import Vector
 
 # Detection of an abrupt change from the innovations of the estimate.
@@ -41,14 +38,15 @@ from adaptdrive.control.vectors import Vector
 DRIFT = 3.0
 """Subtracted from each z²: the sum rises only while z² is larger than three times its mean."""
 
-THRESHOLD = 9.0
-"""One z² above 12, or several smaller ones in a row: rare with noise alone."""
+THRESHOLD = 2.0 * thresholds.RARE
+"""One z² above 13, or several smaller ones in a row: as rare with noise alone as a disturbance."""
 
-_FAST_RATE = 0.3
-"""Rate of the median after a start: within a factor of 2 after about 3 samples."""
+FAST_RATE = 1.0 / thresholds.FEWEST
+"""Rate of the median after a start: a factor of 2 in 4 samples, and another load is soon
+forgotten."""
 
-_SLOW_RATE = 0.03
-"""Rate of the median later: a factor of 2 takes 25 samples, longer than a comparison."""
+_SLOW_RATE = 2.0 / thresholds.MEMORY
+"""Rate of the median later: a factor of 2 takes 20 samples, longer than a comparison."""
 
 _MEDIAN = 0.455
 """Median over mean of the square of Gaussian noise (χ² with one degree of freedom)."""
@@ -57,9 +55,8 @@ LEAST_NOISE = 1e-2 * thresholds.NOISE_FLOOR
 """Least mean square of noise that is followed: a tenth of the deviation that the bank counts."""
 
 
-@dataclass(slots=True)
 class ChangeDetector:
-    """State of the detector of abrupt changes.
+    """Detector of abrupt changes.
 
     Attributes:
         power: σ², of the innovations in units of the scaled output.
@@ -67,59 +64,54 @@ class ChangeDetector:
         samples: Samples seen.
         alarms: Alarms so far.
         noise: Mean square of the noise of a sample, from second differences.
-        last: ε of the last sample.
-        slope: Difference of the last two.
     """
 
-    power: float = 0.0
-    sum: float = 0.0
-    samples: int = 0
-    alarms: int = 0
-    noise: float = thresholds.NOISE_FLOOR
-    last: float = 0.0
-    slope: float = 0.0
+    def __init__(self) -> None:
+        """Begin with the least noise."""
+        self.power = 0.0
+        self.sum = 0.0
+        self.samples = 0
+        self.alarms = 0
+        self.noise = thresholds.NOISE_FLOOR
+        self._last = 0.0
+        self._slope = 0.0
 
+    def noise_power(self, rounding: float) -> float:
+        """Return σ², at least the variance of the rounding error of a sample."""
+        return max(thresholds.NOISE_FLOOR, self.power, rounding * rounding)
 
-def noise_power(state: ChangeDetector, rounding: float) -> float:
-    """Return σ², at least the variance of the rounding error of a sample."""
-    return max(thresholds.NOISE_FLOOR, state.power, rounding * rounding)
+    def is_change(self, squared: float, power: float) -> bool:
+        """Take in an innovation; return whether the load has just changed.
 
+        Args:
+            squared: ε² ρ / (ρ + rᵀPr), scaled.
+            power: σ² of this sample, from `noise_power`.
+        """
+        self.samples += 1
+        if self.samples <= thresholds.WINDOW:
+            self.power = max(thresholds.NOISE_FLOOR, self.noise)
+            return False
+        ratio = squared / power
+        self.power = max(thresholds.NOISE_FLOOR, move_median(self.power, squared, _SLOW_RATE))
+        self.sum = max(0.0, self.sum + ratio - DRIFT)
+        if self.sum <= THRESHOLD:
+            return False
+        self.sum = 0.0
+        self.alarms += 1
+        return True
 
-def is_change(state: ChangeDetector, squared: float, power: float) -> bool:
-    """Return whether the load has just changed.
+    def track_noise(self, innovation: float) -> None:
+        """Follow the noise of a sample, which no slow error hides.
 
-    Args:
-        state: Overwritten.
-        squared: ε² ρ / (ρ + rᵀPr), scaled.
-        power: σ² of this sample, from `noise_power`.
-    """
-    state.samples += 1
-    if state.samples <= thresholds.WINDOW:
-        state.power = max(thresholds.NOISE_FLOOR, state.noise)
-        return False
-    ratio = squared / power
-    state.power = max(thresholds.NOISE_FLOOR, move_median(state.power, squared, _SLOW_RATE))
-    state.sum = max(0.0, state.sum + ratio - DRIFT)
-    if state.sum <= THRESHOLD:
-        return False
-    state.sum = 0.0
-    state.alarms += 1
-    return True
-
-
-def track_noise(state: ChangeDetector, innovation: float) -> None:
-    """Follow the noise of a sample, which no slow error hides.
-
-    Args:
-        state: Overwritten.
-        innovation: ε, scaled.
-    """
-    slope = innovation - state.last
-    bend = slope - state.slope
-    squared = bend * bend / 6.0  # a power would raise where it overflows
-    state.last, state.slope = innovation, slope
-    rate = _FAST_RATE if state.samples <= thresholds.WINDOW else _SLOW_RATE
-    state.noise = max(LEAST_NOISE, move_median(state.noise, squared, rate))
+        Args:
+            innovation: ε, scaled.
+        """
+        slope = innovation - self._last
+        bend = slope - self._slope
+        squared = bend * bend / 6.0  # a power would raise where it overflows
+        self._last, self._slope = innovation, slope
+        rate = FAST_RATE if self.samples <= thresholds.WINDOW else _SLOW_RATE
+        self.noise = max(LEAST_NOISE, move_median(self.noise, squared, rate))
 
 
 def move_median(power: float, squared: float, rate: float) -> float:
@@ -143,176 +135,129 @@ ODDS_AGAINST = {
 DISTURBANCE_SHARE = 0.1
 """Deviation of a disturbance, of the input's scale: 30 V of 300 V."""
 
-_TINY = 1e-12
-"""Divisor that counts as 0: 4,500 rounding errors of 1."""
+OFFSET_WALK = 1.0 / thresholds.WINDOW
+"""Random walk of an offset that drifts, in σ for each slow period: it is a mean over a window."""
 
 
-@dataclass(slots=True)
-class ChangePoint:
-    """The last sample before a change.
+class Branch(Estimate):
+    """An estimate that assumes a change, and how probable it is.
 
     Attributes:
-        regressor: r.
-        lowered: r with every power of λ lowered by one.
-        time_s: t0.
-        power: σ² of the innovations.
-        gap_s: From there to the first sample after the change.
+        kind: Kind of change that it assumes, 0 for none.
+        origin_s: Since when the functions of the initial state are counted.
+        score: Logarithm of its probability over that of the most probable branch.
+        age: Samples since it was split off.
     """
 
-    regressor: Vector
-    lowered: Vector
-    time_s: float = 0.0
-    power: float = 0.0
-    gap_s: float = 0.0
+    def __init__(self, regression: Regression) -> None:
+        """Begin with zeros, and sure of them.
 
+        Args:
+            regression: What is learnt.
+        """
+        super().__init__(regression.size)
+        self._regression = regression
+        self.kind = 0
+        self.origin_s = 0.0
+        self.score = 0.0
+        self.age = 0
 
-def note_sample(point: ChangePoint, sample: Observation) -> None:
-    """Remember a sample: the next one may be the first after a change."""
-    vectors.copy_into(point.regressor, sample.regressor)
-    vectors.copy_into(point.lowered, sample.lowered)
-    point.time_s = sample.time_s
+    def assign(self, other: "Branch") -> None:
+        """Overwrite θ, P, origin and the last prediction by those of another branch."""
+        vectors.copy_into(self.theta, other.theta)
+        vectors.copy_into(self.upper, other.upper)
+        vectors.copy_into(self.diagonal, other.diagonal)
+        self.origin_s = other.origin_s
+        self.innovation, self.excitation = other.innovation, other.excitation
 
+    def predict_sample(self, sample: Observation) -> None:
+        """Predict a sample whose functions of the initial state are counted from the origin.
 
-def restart_past(branch: Branch, learning: EstimatorSettings, load: Load, time_s: float) -> None:
-    """Count the functions of the initial state from another time; θ and P follow.
+        Args:
+            sample: The functions of the initial state in it are overwritten.
+        """
+        self._regression.fill_state(sample.regressor, sample.time_s - self.origin_s)
+        self.predict(sample.regressor, sample.target)
 
-    Args:
-        branch: θ, P and origin, overwritten.
-        learning: τ_λ.
-        load: Order.
-        time_s: The new origin, not before the old one.
-    """
-    size, count = len(branch.theta), regression.initial_state_count(learning, load)
-    first = regression.fitted_order(learning, load) + len(load.input_powers)
-    shift = (time_s - branch.origin_s) / learning.tau_lambda_s
-    change = _shifted_functions(count, shift)
-    transform = vectors.identity(size)
-    for i in range(count):
-        for j in range(count):
-            transform[(first + i) * size + first + j] = change[i * count + j]
-    old = list(branch.theta)
-    for i in range(size):
-        branch.theta[i] = vectors.dot(transform[i * size : (i + 1) * size], old)
-    rls.transform(branch.upper, branch.diagonal, transform)
-    branch.origin_s = time_s
+    def learn_sample(self, sample: Observation) -> None:
+        """Take in one sample, with directional forgetting of what does not walk.
+
+        An offset that drifts, the inflow temperature of a bath, follows a random walk, which
+        widens P (Ljung, System Identification, section 11.2), and that is all that is forgotten of
+        it. The walk of a charge is in `estimator`.
+
+        Args:
+            sample: The functions of the initial state in it are overwritten.
+        """
+        regression, learning = self._regression, self._regression.learning
+        regression.fill_state(sample.regressor, sample.time_s - self.origin_s)
+        rho, gate = learning.forgetting, learning.gate
+        self.update_beside(sample.regressor, sample.target, rho, gate, regression.walks)
+        if regression.walks == 1:
+            self.widen_entry(regression.size - 1, OFFSET_WALK * OFFSET_WALK)
+
+    def restart_past(self, time_s: float) -> None:
+        """Count the functions of the initial state from another time; θ and P follow.
+
+        Args:
+            time_s: The new origin, not before the old one.
+        """
+        regression = self._regression
+        size, first, count = regression.size, regression.first, regression.states
+        shift = (time_s - self.origin_s) / regression.learning.tau_lambda_s
+        weights, matrix = _shifted_functions(count, shift), vectors.identity(size)
+        for i in range(count):
+            for j in range(count):
+                matrix[(first + i) * size + first + j] = weights[i * count + j]
+        self.transform(matrix)
+        self.origin_s = time_s
+
+    def open_for(self, kind: int, point: Observation, power: float, gap_s: float) -> None:
+        """Open the estimate up for what a kind of change may have moved.
+
+        Args:
+            kind: DISTURBANCE, LOAD, or ANEW for both, another gain and the state of the load.
+            point: The last sample before the change.
+            power: σ² of the innovations.
+            gap_s: From there to the first sample after the change.
+        """
+        regression, learning = self._regression, self._regression.learning
+        spread = DISTURBANCE_SHARE * abs(regression.gain(self.theta))
+        if kind != LOAD and learning.bias:
+            self._open(vectors.unit(regression.size, regression.size - 1), spread, point, power)
+        if kind != DISTURBANCE:  # other dynamics with the same dc gain and offset of the input
+            for i in range(regression.first - 1):
+                direction = regression.load_direction(self.theta, i)
+                self._open(direction, thresholds.PRIOR_SHARE, point, power)
+        if kind == ANEW:
+            direction = regression.gain_direction(self.theta)
+            self._open(direction, thresholds.PRIOR_SHARE, point, power)
+        share = min(1.0, gap_s / learning.tau_lambda_s)  # the moment of the change is in doubt
+        self._widen_state(share * share * spread * spread / power)
+        if kind == ANEW:  # a disk that lands at rest takes half the speed away
+            self._widen_state(thresholds.PRIOR_SHARE * thresholds.PRIOR_SHARE / power)
+
+    def _open(self, direction: Vector, spread: float, point: Observation, power: float) -> None:
+        """Widen P by a spread along a direction of θ and along what goes with it in γ."""
+        first, count = self._regression.first, self._regression.states
+        plain = vectors.dot(point.regressor, direction)
+        if count > 1:
+            direction[first + 1] = -vectors.dot(point.lowered, direction)
+        direction[first] = -plain
+        self.widen(direction, spread * spread / power)
+
+    def _widen_state(self, variance: float) -> None:
+        """Widen γ, what is left of the state at the change, by itself."""
+        for i in range(self._regression.states):
+            self.widen_entry(self._regression.first + i, variance)
 
 
 def _shifted_functions(count: int, shift: float) -> Vector:
     """Weights of h^i e^-h that make of Σ γ_j (h + s)^j e^-(h + s) the same course."""
     weights = [0.0] * (count * count)
-    decay = math.exp(-shift)
     for j in range(count):
-        factor = decay  # C(j, i) s^(j - i) e^-s, from i = j down
+        factor = math.exp(-shift)  # C(j, i) s^(j - i) e^-s, from i = j down
         for i in range(j, -1, -1):
             weights[i * count + j] = factor
             factor *= shift * i / (j - i + 1)
     return weights
-
-
-def widen(
-    branch: Branch, kind: int, learning: EstimatorSettings, load: Load, point: ChangePoint
-) -> None:
-    """Open an estimate up for what a kind of change may have moved.
-
-    Args:
-        branch: P is overwritten.
-        kind: DISTURBANCE, LOAD, or ANEW for both, another gain and the state of the load.
-        learning: Scales.
-        load: Order and structure.
-        point: The last sample before the change.
-    """
-    order, size = regression.fitted_order(learning, load), len(branch.theta)
-    last = order + len(load.input_powers) - 1
-    gains = abs(vectors.total(branch.theta[order : last + 1]))
-    if kind != LOAD and learning.bias:
-        direction = vectors.unit(size, size - 1)
-        _open(branch, direction, DISTURBANCE_SHARE * gains, learning, load, point)
-    if kind != DISTURBANCE:
-        _widen_load(branch, learning, load, point)
-    if kind == ANEW:
-        direction = [0.0] * size
-        direction[order : last + 1] = branch.theta[order : last + 1]
-        _carry_offset(direction, branch.theta, 1.0, learning)
-        _open(branch, direction, thresholds.PRIOR_SHARE, learning, load, point)
-    share = min(1.0, point.gap_s / learning.tau_lambda_s)  # the moment of the change is in doubt
-    spread = DISTURBANCE_SHARE * gains
-    _widen_state(branch, share * share * spread * spread / point.power, learning, load)
-    if kind == ANEW:  # a disk that lands at rest takes half the speed away
-        _widen_state(
-            branch, thresholds.PRIOR_SHARE * thresholds.PRIOR_SHARE / point.power, learning, load
-        )
-
-
-def _widen_load(
-    branch: Branch, learning: EstimatorSettings, load: Load, point: ChangePoint
-) -> None:
-    """Other dynamics with the same dc gain and the same offset of the input."""
-    for i in range(regression.fitted_order(learning, load) + len(load.input_powers) - 1):
-        direction = load_direction(branch.theta, i, learning, load)
-        _open(branch, direction, thresholds.PRIOR_SHARE, learning, load, point)
-
-
-def load_direction(theta: Vector, index: int, learning: EstimatorSettings, load: Load) -> Vector:
-    """Return a direction of θ that leaves the dc gain and the offset of the input as they are.
-
-    Args:
-        theta: θ.
-        index: Of the coefficient that changes by 1: one of α, or of β but the last.
-        learning: Scales.
-        load: Order and structure.
-    """
-    order, size = regression.fitted_order(learning, load), len(theta)
-    last = order + len(load.input_powers) - 1
-    direction = vectors.unit(size, index)
-    if index >= order:
-        direction[last] = -1.0
-        return direction
-    direction[last] = regression.dc_gain(theta, learning, load)
-    below = 1.0
-    for i in range(order):
-        below += theta[i]
-    if abs(below) > _TINY:
-        _carry_offset(direction, theta, below, learning)
-    return direction
-
-
-def _carry_offset(
-    direction: Vector, theta: Vector, divisor: float, learning: EstimatorSettings
-) -> None:
-    """Let what acts with the input move with the gain: bias and charge, over a divisor."""
-    size = len(theta)
-    if learning.bias:
-        direction[size - 1] = theta[size - 1] / divisor
-    if learning.charge:
-        index = regression.charge_index(learning, size)
-        direction[index] = theta[index] / divisor
-
-
-def _open(
-    branch: Branch,
-    direction: Vector,
-    spread: float,
-    learning: EstimatorSettings,
-    load: Load,
-    point: ChangePoint,
-) -> None:
-    """Widen P by a spread along a direction of θ and along what goes with it in γ, at least one."""
-    size, count = len(direction), regression.initial_state_count(learning, load)
-    first = regression.fitted_order(learning, load) + len(load.input_powers)
-    plain, lowered = 0.0, 0.0
-    for i in range(size):
-        if not first <= i < first + count:
-            plain += point.regressor[i] * direction[i]
-            lowered += point.lowered[i] * direction[i]
-    direction[first] = -plain
-    if count > 1:
-        direction[first + 1] = -lowered
-    rls.widen(branch.upper, branch.diagonal, direction, spread * spread / point.power)
-
-
-def _widen_state(branch: Branch, variance: float, learning: EstimatorSettings, load: Load) -> None:
-    """Widen γ, what is left of the state at the change, by itself."""
-    first = regression.fitted_order(learning, load) + len(load.input_powers)
-    for i in range(regression.initial_state_count(learning, load)):
-        direction = vectors.unit(len(branch.theta), first + i)
-        rls.widen(branch.upper, branch.diagonal, direction, variance)

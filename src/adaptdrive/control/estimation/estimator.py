@@ -1,35 +1,26 @@
 """The on-line estimator: recursive least squares with a gate, and a bank of branches.
 
-What is learnt, from which signals and by which update is in the file of the method (`methods`); the
-arithmetic of the update is in `rls`, and what an abrupt change does in `change` and `bank`.
+θ and r are in `regression`, the arithmetic of the update in `rls`, and what an abrupt change does
+in `change` and `bank`. θ is a model in s, so that the physical parameters of the load follow.
+
+P shows how well the samples have determined a load that stays as it is. That load may have changed
+since: at rest any dynamics predict the same output, and an alarm takes samples to be explained.
+While that is so, the standard deviations shown are those of P opened up for another load: the load
+is known as it was, and the loop keeps the gains that it has.
 """
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar
 
 from adaptdrive.control import thresholds, vectors
-from adaptdrive.control.estimation import change, regression, rls
-from adaptdrive.control.estimation.bank import (
-    Bank,
-    IncrementalModel,
-    charge_disturbance,
-    learn_branches,
-    new_bank,
-    restart,
-)
-from adaptdrive.control.estimation.branch import (
-    Branch,
-    Observation,
-    new_branch,
-    predict,
-    squared_error,
-    teaches,
-)
+from adaptdrive.control.estimation import change
+from adaptdrive.control.estimation.bank import Bank, IncrementalModel
+from adaptdrive.control.estimation.change import Branch, ChangeDetector
+from adaptdrive.control.estimation.regression import Observation, Regression
+from adaptdrive.control.estimation.rls import Estimate, Residuals, normalised
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import EstimatorSettings
+from adaptdrive.control.signals import SlowSample
 from adaptdrive.control.vectors import Vector
 
 _LARGEST = 1.0e20
@@ -38,290 +29,340 @@ _LARGEST = 1.0e20
 _EMF_NOISE = 0.2
 """Random walk of an EMF in each slow period, in σ of a sample: its charge is no more exact."""
 
-_EMF_BEND = 0.1
+_EMF_BEND = 0.5 * _EMF_NOISE
 """Random walk of its rise, in σ, for a charge of τ_λ times the output's scale."""
 
-
-class Method(Protocol):
-    """One way to learn the load: parameters θ, regressor r, target, update and model.
-
-    A method has no state, so that the same object serves every controller.
-    """
-
-    @property
-    def physical(self) -> bool:
-        """True if θ follows from the physical parameters of the load.
-
-        Only then can an estimate start from these, be compared with the nominal model, and be
-        kept for the next run.
-        """
-
-    def parameter_count(self, learning: EstimatorSettings, load: Load, taps: int) -> int:
-        """Return the length of θ; `taps` is the number of past inputs of the discrete model."""
-
-    def theta_of(
-        self, learning: EstimatorSettings, load: Load, numerator: Vector, denominator: Vector
-    ) -> Vector:
-        """Return the first entries of θ for a model in s, scaled; empty if not `physical`."""
-
-    def begin(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
-        """Adjust P of a new estimator to what is known of the start."""
-
-    def fill_regressor(
-        self,
-        state: EstimatorState,
-        learning: EstimatorSettings,
-        load: Load,
-        sample: regression.SlowSample,
-        past: tuple[Vector, Vector],
-    ) -> None:
-        """Overwrite r by that of a slow sample; `past` are y and u of the periods before it."""
-
-    def take_in(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
-        """Update θ and P by the last sample, which the estimate has predicted."""
-
-    def model(
-        self, state: EstimatorState, learning: EstimatorSettings, load: Load
-    ) -> tuple[Vector, Vector]:
-        """Return numerator and denominator of the estimate: in s if `physical`, else in q^-1."""
-
-    def root(
-        self, state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
-    ) -> Vector:
-        """Return L, flat, of the covariance L Lᵀ of the physical parameters; NaN where unknown."""
-
-    def shown_deviations(
-        self, state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
-    ) -> Vector:
-        """Return their standard deviations for operators: the load may have changed since."""
-
-    def input_offset(self, state: EstimatorState, learning: EstimatorSettings, load: Load) -> float:
-        """Return the constant input with the effect of what is no dynamics; NaN without a bias."""
+_SHOWN = 30.0
+"""Movement of a sample, in σ, by an α that is larger by 1: 3 σ for a quarter of a second disk."""
 
 
-@dataclass(slots=True)
-class EstimatorState:
-    """State of the estimator.
+class Estimator:
+    """What every method to learn the load has in common.
 
     Attributes:
-        method: What is learnt, and from which signals.
-        opened: The estimate in force, with what the load may have become.
+        physical: True if θ follows from the physical parameters of the load. Only then can an
+            estimate start from these, be compared with the nominal model, and be kept for the next
+            run.
         sample: The last sample.
-        residual_power: Forgetting sum of squared normalised innovations.
-        residual_weight: Forgetting count of them.
-        residual_lag: Forgetting sum of the products of each and the one before.
-        residual_last: The last of them.
+        detector: Detector of abrupt changes, and the noise.
+        residuals: Innovations of the estimate whose bias rests.
         innovation: ε of the last sample, in the unit of the output.
         excitation: rᵀPr of the last sample.
         periods: Slow periods since start.
-        lost_periods: Slow periods in a row in which no load can be as `estimate` has it.
-        charge: Integral of the output since start over τ_λ, scaled.
-        detector: Detector of abrupt changes.
-        bank: The branches, of a bias that rests.
         unseen_periods: Slow periods since a sample that would have shown another load.
-        incremental: A second estimate, whose bias walks.
     """
 
-    method: Method
-    opened: Branch
-    sample: Observation
-    detector: change.ChangeDetector
-    bank: Bank
-    incremental: IncrementalModel
-    residual_power: float = 0.0
-    residual_weight: float = 0.0
-    residual_lag: float = 0.0
-    residual_last: float = 0.0
-    innovation: float = math.nan
-    excitation: float = 0.0
-    periods: int = 0
-    lost_periods: int = 0
-    charge: float = 0.0
-    unseen_periods: int = 0
+    physical: ClassVar[bool] = False
+
+    def __init__(self, learning: EstimatorSettings, load: Load, count: int) -> None:
+        """Begin without data.
+
+        Args:
+            learning: What is learnt, gates and scales.
+            load: The nominal load.
+            count: Length of θ.
+        """
+        self.learning = learning
+        self.load = load
+        self.sample = Observation(count)
+        self.detector = ChangeDetector()
+        self.residuals = Residuals()
+        self.innovation = math.nan
+        self.excitation = 0.0
+        self.periods = 0
+        self.unseen_periods = 0
+
+    @property
+    def estimate(self) -> Estimate:
+        """θ and P."""
+        raise NotImplementedError
+
+    def observe(self, sample: SlowSample, outputs: Vector, inputs: Vector) -> None:
+        """Overwrite r by that of a slow sample.
+
+        Args:
+            sample: The sample.
+            outputs: y of the periods before it, the last one first.
+            inputs: u of the periods before it.
+        """
+        raise NotImplementedError
+
+    def learn(self) -> None:
+        """Update θ and P by the last sample, which the estimate has predicted."""
+        raise NotImplementedError
+
+    def model(self) -> tuple[Vector, Vector]:
+        """Return numerator and denominator of the estimate: in s if `physical`, else in q^-1."""
+        raise NotImplementedError
+
+    def root(self, values: Vector) -> Vector:
+        """Return L, flat, of the covariance L Lᵀ of the physical parameters; NaN where unknown."""
+        return [math.nan] * (len(values) * len(values))
+
+    def shown_deviations(self, values: Vector) -> Vector:
+        """Return their standard deviations for operators: the load may have changed since."""
+        return [math.nan] * len(values)
+
+    def input_offset(self) -> float:
+        """Return the constant input with the effect of what is no dynamics; NaN without a bias."""
+        raise NotImplementedError
+
+    def is_contested(self) -> bool:
+        """Return whether the latest samples speak for another load than the estimate."""
+        return self.detector.sum > 0.0
+
+    def open_up(self) -> None:
+        """Know nothing, and expect an offset of the size of a disturbance.
+
+        The latter only where it rests and the nominal gain is known.
+
+        Without this the first step of torque, which comes before the load is known, is learnt as
+        dynamics with an offset that nothing can cause.
+        """
+        learning, own = self.learning, self.estimate
+        vectors.copy_into(own.theta, [0.0] * len(own.theta))
+        own.open_up(learning.initial_covariance)
+        if learning.bias and learning.start_at_nominal and not (learning.charge or learning.drifts):
+            last = len(own.diagonal) - 1
+            expected = change.DISTURBANCE_SHARE * change.DISTURBANCE_SHARE / thresholds.NOISE_FLOOR
+            own.diagonal[last] = min(own.diagonal[last], expected)
+
+    def take_sample(
+        self, sample: SlowSample, outputs: Vector, inputs: Vector, *, usable: bool
+    ) -> None:
+        """Take in one slow sample.
+
+        Args:
+            sample: The sample.
+            outputs: y of the periods before it, the last one first.
+            inputs: u of the periods before it.
+            usable: False for a sample that must not teach: its innovation is still computed.
+        """
+        self.sample.time_s += sample.period_s
+        self.sample.rounding = sample.rounding / self.learning.output_scale
+        self.observe(sample, outputs, inputs)
+        self.take_output(sample.output, usable=usable)
+
+    def take_output(self, output: float, *, usable: bool) -> None:
+        """Predict an output from r, and learn from it.
+
+        Args:
+            output: y[k].
+            usable: As in `take_sample`.
+        """
+        own, sample = self.estimate, self.sample
+        sample.target = output / self.learning.output_scale
+        self.periods += 1
+        own.predict(sample.regressor, sample.target)
+        self.show(own)
+        usual = all(abs(one) < _LARGEST for one in (own.innovation, *sample.regressor))
+        if not (usable and usual and math.isfinite(own.excitation)):
+            return
+        self.detector.track_noise(own.innovation)
+        if self.periods > self.learning.settle_periods:
+            self.learn()
+
+    def learn_plainly(self) -> None:
+        """Update θ and P by exponential forgetting (3), if the sample can teach anything."""
+        own, sample, rho = self.estimate, self.sample, self.learning.forgetting
+        if own.excitation > self.learning.gate * (1.0 - rho):
+            own.update(sample.regressor, sample.target, rho)
+            self.residuals.remember(own, rho)
+
+    def show(self, estimate: Estimate) -> None:
+        """Publish innovation and excitation of an estimate."""
+        self.innovation = estimate.innovation * self.learning.output_scale
+        self.excitation = estimate.excitation
+
+
+class LambdaEstimator(Estimator):
+    """The λ-method (LM-RLS): least squares on λ-filtered signals (29).
+
+    Attributes:
+        regression: θ and r.
+        bank: The branches, of a bias that rests.
+        incremental: A second estimate, whose bias walks.
+        charge: Integral of the output since start over τ_λ, scaled.
+        lost_periods: Slow periods in a row in which no load can be as `estimate` has it.
+    """
+
+    physical: ClassVar[bool] = True
+
+    def __init__(self, learning: EstimatorSettings, load: Load, _taps: int) -> None:
+        """Begin at zero, or at the nominal model.
+
+        Args:
+            learning: What is learnt, gates and scales.
+            load: The nominal load.
+            _taps: Not used: θ does not depend on past inputs.
+        """
+        regression = Regression(learning, load)
+        super().__init__(learning, load, regression.size)
+        self.regression = regression
+        self.bank = Bank(regression)
+        self.incremental = IncrementalModel(regression)
+        self.charge = 0.0
+        self.lost_periods = 0
+        self._opened = Branch(regression)
+        self._nominal = [0.0] * regression.size
+        vectors.copy_into(self._nominal, self._nominal_theta())
+        self.open_up()
+        if not learning.initial_state:  # γ = 0 is known: the load is at rest
+            for i in range(regression.first, regression.first + regression.states):
+                known = thresholds.NOISE_FLOOR * learning.initial_covariance
+                self.bank.estimate.diagonal[i] = known
+        if learning.start_at_nominal:
+            vectors.copy_into(self.bank.estimate.theta, self._nominal)
 
     @property
     def estimate(self) -> Branch:
-        """Return θ and P of a bias that rests: the branch of the bank that is believed."""
+        """θ and P of a bias that rests: the branch of the bank that is believed."""
         return self.bank.estimate
 
+    @property
+    def in_force(self) -> Branch:
+        """The estimate in force: the one whose bias rests, or the one whose bias walks."""
+        return self.incremental.branch if self.incremental.in_force else self.bank.estimate
 
-def new_estimator(
-    method: Method, learning: EstimatorSettings, load: Load, taps: int
-) -> EstimatorState:
-    """Return an estimator without data, which starts from zero or from the nominal model."""
-    count = method.parameter_count(learning, load, taps)
-    state = EstimatorState(
-        method,
-        new_branch(count),
-        Observation([0.0] * count, [0.0] * count),
-        change.ChangeDetector(),
-        new_bank(count),
-        IncrementalModel(new_branch(count)),
-    )
-    _open(state.estimate, learning)
-    method.begin(state, learning, load)
-    if learning.start_at_nominal:
-        vectors.copy_into(state.estimate.theta, nominal_theta(method, learning, load, taps))
-    return state
+    def _nominal_theta(self) -> Vector:
+        """Return α and β of the nominal model."""
+        load = self.load
+        return self.regression.theta_of(list(load.numerator), list(load.denominator))
 
+    def begin_anew(self) -> None:
+        """Start from the nominal model again: an estimate that no load can have has lost its way.
 
-def nominal_theta(method: Method, learning: EstimatorSettings, load: Load, taps: int) -> Vector:
-    """Return θ of the nominal model, scaled; zeros where the method cannot express it."""
-    theta = [0.0] * method.parameter_count(learning, load, taps)
-    numerator, denominator = list(load.numerator), list(load.denominator)
-    vectors.copy_into(theta, method.theta_of(learning, load, numerator, denominator))
-    return theta
+        It learnt a disturbance as dynamics before the load was known, and what surprises it is
+        explained by other disturbances ever since. An incremental model that is in force goes on.
+        """
+        own = self.bank.estimate
+        self.open_up()
+        vectors.copy_into(own.theta, self._nominal_theta())
+        own.origin_s, own.score = self.sample.time_s, 0.0
+        self.bank.branches = [own]
+        self.detector.sum = 0.0
+        if not self.incremental.in_force:
+            self.incremental.restart()
 
+    def start_from(self, values: Vector) -> None:
+        """Start from a load that an earlier run has learnt, no surer of it than of the nominal one.
 
-def _open(estimate: Branch, learning: EstimatorSettings) -> None:
-    """Know nothing, and expect an offset of the size of a disturbance.
+        The load may have changed while the drive was off: only samples of this run say how exact
+        its parameters are.
 
-    The latter only where it rests and the nominal gain is known.
+        Args:
+            values: Its physical parameters.
+        """
+        theta = self.regression.theta_of(*self.load.realise(values))
+        vectors.copy_into(self.bank.estimate.theta, theta)
 
-    Without this the first step of torque, which comes before the load is known, is learnt as
-    dynamics with an offset that nothing can cause.
-    """
-    diagonal = estimate.diagonal
-    rls.reset(estimate.theta, estimate.upper, diagonal, learning.initial_covariance)
-    if learning.bias and learning.start_at_nominal and not (learning.charge or learning.drifts):
-        expected = change.DISTURBANCE_SHARE * change.DISTURBANCE_SHARE / thresholds.NOISE_FLOOR
-        diagonal[len(diagonal) - 1] = min(diagonal[len(diagonal) - 1], expected)
+    def observe(self, sample: SlowSample, _outputs: Vector, _inputs: Vector) -> None:
+        """Overwrite r, and the lowered r for a change; the past is in the filters."""
+        learning, own = self.learning, self.sample
+        charged = sample.output / learning.output_scale * sample.period_s
+        self.charge += charged / learning.tau_lambda_s
+        elapsed_s = own.time_s - self.bank.estimate.origin_s
+        self.regression.observe(own, sample, self.charge, elapsed_s)
+        if learning.charge:
+            self._widen_emf()
 
+    def _widen_emf(self) -> None:
+        """Let a slow period pass for an EMF that rises with the charge, at a rate that changes.
 
-def begin_anew(state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
-    """Start from the nominal model again: an estimate that no load can have has lost its way.
+        At a constant current only the EMF moves: without this, what a straight line misses of its
+        course would be mistaken for dynamics.
+        """
+        size = self.regression.size
+        for one in self.bank.branches:
+            for rise, bias in ((0.0, _EMF_NOISE), (_EMF_BEND, -_EMF_BEND * self.charge)):
+                direction = [0.0] * size
+                direction[size - 2], direction[size - 1] = rise, bias
+                one.widen(direction, 1.0)
 
-    It learnt a disturbance as dynamics before the load was known, and what surprises it is
-    explained by other disturbances ever since.
+    def learn(self) -> None:
+        """Update θ and P; branches explain an abrupt change where `alert` is set."""
+        learning, own, rho = self.learning, self.bank.estimate, self.learning.forgetting
+        if not learning.alert:
+            self.learn_plainly()
+            return
+        if learning.bias and not learning.charge:  # the EMF of a battery walks already
+            self.incremental.follow(self.sample, own)
+        another = self.bank.learn(self.detector, self.sample)
+        own = self.bank.estimate
+        if another:
+            self.incremental.charge_disturbance(own)
+            # what the one before could not explain is no noise
+            usual = self.detector.noise_power(self.sample.rounding) * self.residuals.weight
+            self.residuals.power = min(self.residuals.power, usual)
+        if own.excitation > learning.gate * (1.0 - rho):
+            self.residuals.remember(own, rho)
+        self._count_unseen()
+        self.show(self.in_force)
 
-    Args:
-        state: Overwritten; an incremental model that is in force goes on.
-        learning: Scales.
-        load: The nominal model.
-    """
-    own, numerator, denominator = state.estimate, list(load.numerator), list(load.denominator)
-    _open(own, learning)
-    vectors.copy_into(own.theta, state.method.theta_of(learning, load, numerator, denominator))
-    own.origin_s, own.score = state.sample.time_s, 0.0
-    state.bank.branches = [own]
-    state.detector.sum = 0.0
-    if not state.incremental.in_force:
-        restart(state.incremental)
+    def _count_unseen(self) -> None:
+        """Count the slow periods since a sample that would have shown another load."""
+        self.unseen_periods += 1
+        noise = math.sqrt(self.detector.power)
+        for i in range(self.regression.order):
+            direction = self.regression.load_direction(self.bank.estimate.theta, i)
+            if abs(vectors.dot(direction, self.sample.regressor)) > _SHOWN * noise:
+                self.unseen_periods = 0
 
+    def residual(self) -> float:
+        """Squared innovation of the last sample, the estimate's own uncertainty taken out, scaled.
 
-def start_from(
-    state: EstimatorState, learning: EstimatorSettings, load: Load, values: Vector
-) -> None:
-    """Start from a load that an earlier run has learnt, no surer of it than of the nominal model.
+        A sample that teaches nothing is predicted too, and not by each branch.
+        """
+        innovation = self.innovation / self.learning.output_scale
+        return normalised(innovation, self.excitation, self.learning.forgetting)
 
-    The load may have changed while the drive was off: only samples of this run say how exact its
-    parameters are.
+    def nominal_innovation(self) -> float:
+        """Return the innovation that the nominal model has for the last sample, scaled."""
+        return self.sample.target - vectors.dot(self._nominal, self.sample.regressor)
 
-    Args:
-        state: A new estimator of a method with physical parameters, overwritten.
-        learning: Scales.
-        load: The load.
-        values: Its physical parameters.
-    """
-    numerator, denominator = load.realise(values)
-    theta = state.method.theta_of(learning, load, numerator, denominator)
-    vectors.copy_into(state.estimate.theta, theta)
+    def model(self) -> tuple[Vector, Vector]:
+        """Return numerator and denominator of the estimated model in s."""
+        return self.regression.model(self.in_force.theta)
 
+    def noise(self) -> float:
+        """Return σ of the innovations of the estimate in force, scaled; NaN while unknown."""
+        swings = self.incremental.in_force
+        residuals = self.incremental.residuals if swings else self.residuals
+        return residuals.noise(self.regression.size)
 
-def update_estimate(
-    state: EstimatorState, learning: EstimatorSettings, load: Load, output: float, usable: bool
-) -> None:
-    """Take in one slow sample whose regressor has been filled in.
+    def root(self, values: Vector) -> Vector:
+        """Return L, flat, of the covariance L Lᵀ of the physical parameters, to first order."""
+        return self.regression.root(self.in_force, self.noise(), values)
 
-    Args:
-        state: Overwritten.
-        learning: Forgetting and gates.
-        load: What an abrupt change leaves as it was.
-        output: y[k], which r predicts.
-        usable: False for a sample that must not teach: its innovation is still computed.
-    """
-    own, sample = state.estimate, state.sample
-    sample.target = output / learning.output_scale
-    state.periods += 1
-    predict(own, sample)
-    state.excitation = own.excitation
-    state.innovation = own.innovation * learning.output_scale
-    usual = abs(own.innovation) < _LARGEST and all(abs(one) < _LARGEST for one in sample.regressor)
-    if not (usual and math.isfinite(own.excitation)):
-        return
-    if not usable:
-        return
-    change.track_noise(state.detector, own.innovation)
-    if state.periods > learning.settle_periods:
-        state.method.take_in(state, learning, load)
+    def is_contested(self) -> bool:
+        """Return whether the latest samples speak for another load than the estimate."""
+        return self.detector.sum > 0.0 or self.bank.is_contested
 
+    def is_doubtful(self) -> bool:
+        """Return whether the load may be another than the estimate."""
+        return self.unseen_periods > thresholds.FEWEST or self.is_contested()
 
-def take_in(state: EstimatorState, learning: EstimatorSettings) -> None:
-    """Update θ and P by forgetting, if the sample can teach anything.
+    def shown_deviations(self, values: Vector) -> Vector:
+        """Return the standard deviations to be shown: wider while the load may be another.
 
-    Args:
-        state: Its estimate has predicted the sample; overwritten.
-        learning: Forgetting and gates.
-    """
-    own, sample, rho = state.estimate, state.sample, learning.forgetting
-    if not teaches(own, learning):
-        return
-    theta, upper, diagonal = own.theta, own.upper, own.diagonal
-    rls.update(theta, upper, diagonal, sample.regressor, sample.target, rho)
-    remember_residual(state, own, rho)
+        A bias that walks follows a disturbance, and its innovations are independent.
 
+        Args:
+            values: The physical parameters at θ.
+        """
+        opened, noise = self._opened, self.noise()
+        opened.assign(self.in_force)
+        rounding = thresholds.MEMORY * self.sample.rounding * self.sample.rounding
+        noise = math.sqrt(noise * noise + thresholds.NOISE_FLOOR + rounding)
+        if not self.incremental.in_force:
+            noise *= self.residuals.correlation_factor()
+        if self.learning.alert and noise > 0.0 and self.is_doubtful():
+            spread = thresholds.UNKNOWN / noise
+            for i in range(self.regression.order):
+                direction = self.regression.load_direction(opened.theta, i)
+                opened.widen(direction, spread * spread)
+        return self.regression.deviations(opened, noise, values)
 
-def learn_in_bank(state: EstimatorState, learning: EstimatorSettings, load: Load) -> None:
-    """Let the bank take in a sample; its most probable branch is the estimate.
-
-    Args:
-        state: Overwritten.
-        learning: Forgetting and gates.
-        load: Order and structure.
-    """
-    detector, rho = state.detector, learning.forgetting
-    another = learn_branches(state.bank, detector, learning, load, state.sample)
-    own = state.estimate
-    state.excitation = own.excitation
-    state.innovation = own.innovation * learning.output_scale
-    if another:
-        charge_disturbance(state.incremental, own)
-        # what the one before could not explain is no noise
-        usual = change.noise_power(detector, state.sample.rounding) * state.residual_weight
-        state.residual_power = min(state.residual_power, usual)
-    if teaches(own, learning):
-        remember_residual(state, own, rho)
-
-
-def widen_emf(state: EstimatorState, learning: EstimatorSettings) -> None:
-    """Let a slow period pass for an EMF that rises with the charge, at a rate that changes slowly.
-
-    At a constant current only the EMF moves: without this, what a straight line misses of its
-    course would be mistaken for dynamics.
-
-    Args:
-        state: P of every branch is overwritten.
-        learning: Whether a charge is learnt.
-    """
-    if not learning.charge:
-        return
-    for one in state.bank.branches:
-        _wander(one, 0.0, _EMF_NOISE)
-        _wander(one, _EMF_BEND, -_EMF_BEND * state.charge)
-
-
-def _wander(branch: Branch, rise: float, bias: float) -> None:
-    """Widen P along a change of the rise with the charge and of the bias."""
-    direction = [0.0] * len(branch.theta)
-    direction[len(direction) - 2], direction[len(direction) - 1] = rise, bias
-    rls.widen(branch.upper, branch.diagonal, direction, 1.0)
-
-
-def remember_residual(state: EstimatorState, branch: Branch, forgetting: float) -> None:
-    """Add the innovation of a branch to the forgetting sums from which σ follows."""
-    power = squared_error(branch, forgetting)
-    state.residual_power = forgetting * state.residual_power + power
-    state.residual_weight = forgetting * state.residual_weight + 1.0
-    own = math.copysign(math.sqrt(max(0.0, power)), branch.innovation)
-    state.residual_lag = forgetting * state.residual_lag + own * state.residual_last
-    state.residual_last = own
+    def input_offset(self) -> float:
+        """Return the constant input with the effect of bias and charge; NaN without a bias."""
+        return self.regression.input_offset(self.in_force.theta, self.charge)

@@ -48,7 +48,7 @@ import math
 import sys
 from dataclasses import dataclass
 
-from adaptdrive.control.thresholds import EARLIEST, FEWEST, MEMORY, NOISE_FLOOR, PRIOR_SAMPLES
+from adaptdrive.control.thresholds import EARLIEST, FEWEST, MEMORY, NOISE_FLOOR
 from adaptdrive.control.vectors import Vector, total
 
 # The λ filters: a chain of first-order low-pass filters, run at the fast rate.
@@ -102,7 +102,7 @@ Transactions on Automatic Control 7, 1962)."""
 GAMMA = 1.0 / MEMORY
 """Rate of the mean deviation: a mean over so many ticks."""
 
-_GAMMA_MAX = 1.0 / PRIOR_SAMPLES
+_GAMMA_MAX = 1.0 / FEWEST
 """Largest share of one sample in the mean deviation: fewer samples are no mean."""
 
 WIDE = 0.01
@@ -240,7 +240,7 @@ def note_sample(quantiser: Quantiser, sample: float, scale: float, ticks: int = 
     quantiser.changes += ticks
     finest = FINEST * scale
     if quantiser.candidate <= 0.0:
-        quantiser.candidate = difference if finest <= difference < 1.0 / FINEST * scale else 0.0
+        quantiser.candidate = difference if finest <= difference < scale else 0.0
         return
     ratio = difference / quantiser.candidate
     if not ratio < _LARGEST_MULTIPLE:  # or no number

@@ -44,60 +44,14 @@ the rise is mistaken for dynamics: a dc admittance of a third of the true one, t
 """
 
 import math
-from dataclasses import dataclass, field
 
+from adaptdrive.control.estimation.rls import Estimate
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import EstimatorSettings
-from adaptdrive.control.vectors import Vector, multiply, total
+from adaptdrive.control.signals import SlowSample
+from adaptdrive.control.vectors import Vector, copy_into, lacks, multiply, total, unit
 
 # Between a continuous-time model and its λ-transformed parameters, for any order.
-
-
-@dataclass(slots=True)
-class SlowSample:
-    """Input of the slow half in each period.
-
-    Attributes:
-        period_s: T_k.
-        output: y[k].
-        output_filtered: λy ... λ^m y.
-        input_filtered: u, λu ... λ^m u.
-        applied: Input applied over the elapsed period, NaN while unknown.
-        followed: False where a limit kept the drive from following.
-        held_share: Share of the elapsed ticks without a fresh measurement.
-        reference: r[k].
-        adaptive: True when the operator asks for the adaptive controller.
-        pole: Pole asked for.
-        low: Lowest input.
-        high: Highest input.
-        manual: True when the operator sets the input.
-        held: Input in force that the operator has set in the elapsed period, NaN for none.
-        steady: Whether r is a constant set-point.
-        lowest: Lowest output that V_c can hold, NaN while unknown.
-        highest: Highest output that V_c can hold, NaN while unknown.
-        rounding: Standard deviation of the rounding error of the output.
-        upcoming: r[k+1] and the following ones that preview knows, empty for none.
-    """
-
-    period_s: float
-    output: float
-    output_filtered: Vector
-    input_filtered: Vector
-    applied: float
-    followed: bool
-    held_share: float
-    reference: float
-    adaptive: bool
-    pole: float
-    low: float
-    high: float
-    manual: bool = False
-    held: float = math.nan
-    steady: bool = False
-    lowest: float = -math.inf
-    highest: float = math.inf
-    rounding: float = 0.0
-    upcoming: Vector = field(default_factory=list)
 
 
 def to_lambda(coefficients: Vector, tau_lambda_s: float) -> Vector:
@@ -144,48 +98,259 @@ _TINY = 1e-12
 """Below this a divisor counts as zero."""
 
 
-def filtered_count(learning: EstimatorSettings, load: Load) -> int:
-    """Return the length of θ of the λ-method."""
-    first = fitted_order(learning, load) + len(load.input_powers)
-    first += initial_state_count(learning, load)
-    return first + (1 if learning.charge else 0) + (1 if learning.bias else 0)
+class Observation:
+    """One slow sample, as an estimator sees it.
 
-
-def charge_index(learning: EstimatorSettings, size: int) -> int:
-    """Return the place of the charge in θ of a length; only where a charge is learnt."""
-    return size - 2 if learning.bias else size - 1
-
-
-def has_short_lag(learning: EstimatorSettings) -> bool:
-    """Return whether the output passes a lag that is too short to be learnt."""
-    return learning.short_lag_s > 0.0
-
-
-def fitted_order(learning: EstimatorSettings, load: Load) -> int:
-    """Return the number of estimated coefficients of the denominator."""
-    return load.order - 1 if has_short_lag(learning) else load.order
-
-
-def theta_of(
-    learning: EstimatorSettings, load: Load, numerator: Vector, denominator: Vector
-) -> Vector:
-    """θ of a model in s for the λ-method, scaled, without a bias.
-
-    Args:
-        learning: Scales and what is known.
-        load: Order and structure.
-        numerator: Of the model, highest power first.
-        denominator: Of the model, highest power first; with the short lag in it, where one is.
+    Attributes:
+        regressor: r, scaled; the functions of the initial state in it belong to the branch that
+            has predicted it last.
+        lowered: r with every power of λ lowered by one.
+        target: What r predicts, scaled.
+        time_s: Time since start.
+        rounding: Standard deviation of the rounding error of the output, scaled.
     """
-    order, scale = fitted_order(learning, load), learning.input_scale / learning.output_scale
-    rest = denominator
-    if has_short_lag(learning):
-        scale *= learning.short_lag_s / learning.tau_lambda_s
-        rest = _without_factor(denominator, 1.0 / learning.short_lag_s)
-    alpha = to_lambda(rest, learning.tau_lambda_s)
-    beta = to_lambda(numerator, learning.tau_lambda_s)
-    gains = [beta[power] * scale for power in load.input_powers]
-    return [*alpha[1 : order + 1], *gains]
+
+    def __init__(self, count: int) -> None:
+        """Begin with zeros.
+
+        Args:
+            count: Length of r.
+        """
+        self.regressor = [0.0] * count
+        self.lowered = [0.0] * count
+        self.target = 0.0
+        self.time_s = 0.0
+        self.rounding = 0.0
+
+    def assign(self, other: "Observation") -> None:
+        """Overwrite this sample by another one."""
+        copy_into(self.regressor, other.regressor)
+        copy_into(self.lowered, other.lowered)
+        self.target, self.time_s, self.rounding = other.target, other.time_s, other.rounding
+
+
+class Regression:
+    """θ and r of the λ-method for a load: α, β, then γ of the initial state, charge and bias.
+
+    Attributes:
+        learning: What is learnt, and scales.
+        load: The nominal load.
+        order: Number of estimated coefficients of the denominator.
+        first: Place of γ, behind α and β.
+        states: Length of γ: of the state at the start, and of that at each change.
+        size: Length of θ; the bias is the last entry, and the charge is in front of it.
+        walks: How many entries of θ, the last ones, follow a random walk.
+    """
+
+    def __init__(self, learning: EstimatorSettings, load: Load) -> None:
+        """Lay out θ.
+
+        Args:
+            learning: What is learnt, and scales.
+            load: The nominal load.
+        """
+        self.learning = learning
+        self.load = load
+        self._lag = learning.short_lag_s / learning.tau_lambda_s
+        self.order = load.order - 1 if self._lag > 0.0 else load.order
+        self.first = self.order + len(load.input_powers)
+        self.states = self.order if learning.initial_state or learning.alert else 0
+        self._charge = self.first + self.states
+        self.size = self._charge + (1 if learning.charge else 0) + (1 if learning.bias else 0)
+        self.walks = 0
+        if learning.bias:
+            self.walks = 2 if learning.charge else 1 if learning.drifts else 0
+
+    def theta_of(self, numerator: Vector, denominator: Vector) -> Vector:
+        """Return α and β of a model in s, scaled.
+
+        Args:
+            numerator: Of the model, highest power first.
+            denominator: Of the model, highest power first; with the short lag in it, where one is.
+        """
+        learning, rest = self.learning, denominator
+        scale = learning.input_scale / learning.output_scale
+        if self._lag > 0.0:
+            scale *= self._lag
+            rest = _without_factor(denominator, 1.0 / learning.short_lag_s)
+        alpha = to_lambda(rest, learning.tau_lambda_s)
+        beta = to_lambda(numerator, learning.tau_lambda_s)
+        gains = [beta[power] * scale for power in self.load.input_powers]
+        return [*alpha[1 : self.order + 1], *gains]
+
+    def model(self, theta: Vector) -> tuple[Vector, Vector]:
+        """Return H(s) of an estimate: numerator and denominator."""
+        learning, powers = self.learning, self.load.input_powers
+        scale = learning.output_scale / learning.input_scale
+        if self._lag > 0.0:
+            scale /= self._lag
+        beta = [0.0] * (self.load.order + 1)
+        for i in range(len(powers)):
+            beta[powers[i]] = theta[self.order + i] * scale
+        numerator = from_lambda(beta, learning.tau_lambda_s)
+        denominator = from_lambda([1.0, *theta[: self.order]], learning.tau_lambda_s)
+        if self._lag > 0.0:
+            denominator = multiply(denominator, [1.0, 1.0 / learning.short_lag_s])
+        return numerator, denominator
+
+    def observe(
+        self, observation: Observation, sample: SlowSample, charge: float, elapsed_s: float
+    ) -> None:
+        """Overwrite r and the lowered r by those of a slow sample.
+
+        Every term of r is λ-filtered, so that (τ_λ p + 1) r has each power of λ lowered by one.
+
+        Args:
+            observation: Its two regressors are overwritten.
+            sample: The signals.
+            charge: q/τ_λ, scaled.
+            elapsed_s: Time since the origin of the functions of the initial state.
+        """
+        y, u = sample.output_filtered, sample.input_filtered
+        self.fill_signals(observation.regressor, y, u)
+        self.fill_state(observation.regressor, elapsed_s)
+        self.fill_charge(observation.regressor, charge)
+        # a direct term is left as it is: no load of second order has one
+        y, u = [sample.output, *y[: len(y) - 1]], [u[0], *u[: len(u) - 1]]
+        self.fill_signals(observation.lowered, y, u)
+        self.fill_charge(observation.lowered, charge + sample.output / self.learning.output_scale)
+
+    def fill_signals(self, regressor: Vector, outputs: Vector, inputs: Vector) -> None:
+        """Overwrite what r (29) takes from the signals, and the 1 of a bias.
+
+        Args:
+            regressor: r, overwritten.
+            outputs: λy ... λ^m y.
+            inputs: u, λu ... λ^m u.
+        """
+        learning, powers, lag = self.learning, self.load.input_powers, self._lag
+        for i in range(self.order):
+            regressor[i] = -outputs[i] / learning.output_scale
+        for i in range(len(powers)):
+            value = inputs[powers[i]]
+            if lag > 0.0:  # λ^(i-1) v
+                value = (1.0 + lag) * inputs[powers[i] - 1] - lag * inputs[powers[i] - 2]
+            regressor[self.order + i] = value / learning.input_scale
+        if learning.bias:
+            regressor[self.size - 1] = 1.0
+
+    def fill_state(self, regressor: Vector, elapsed_s: float) -> None:
+        """Overwrite what stands for the state at the start, h^i e^-h.
+
+        Args:
+            regressor: r, overwritten.
+            elapsed_s: Time since the start.
+        """
+        ratio = elapsed_s / self.learning.tau_lambda_s
+        value = math.exp(-ratio)
+        for i in range(self.first, self.first + self.states):
+            regressor[i] = value
+            value *= ratio
+
+    def fill_charge(self, regressor: Vector, charge: float) -> None:
+        """Overwrite what stands for the charge q/τ_λ, scaled, where one is learnt."""
+        if self.learning.charge:
+            regressor[self._charge] = charge
+
+    def gain(self, theta: Vector) -> float:
+        """Σβ, scaled."""
+        return total(theta[self.order : self.first])
+
+    def input_offset(self, theta: Vector, charge: float) -> float:
+        """Return the constant input with the effect of bias and charge; NaN without a bias.
+
+        Args:
+            theta: θ.
+            charge: q/τ_λ, scaled.
+        """
+        if not self.learning.bias:
+            return math.nan
+        shift, gain = theta[self.size - 1], self.gain(theta)
+        if self.learning.charge:
+            shift += theta[self._charge] * charge
+        return shift / gain * self.learning.input_scale if gain else math.nan
+
+    def load_direction(self, theta: Vector, index: int) -> Vector:
+        """Return a direction of θ that leaves the dc gain and the offset of the input as they are.
+
+        Args:
+            theta: θ.
+            index: Of the coefficient that changes by 1: one of α, or of β but the last.
+        """
+        direction, last = unit(self.size, index), self.first - 1
+        if index >= self.order:
+            direction[last] = -1.0
+            return direction
+        below = total([1.0, *theta[: self.order]])
+        if abs(below) > _TINY:
+            direction[last] = self.gain(theta) / below
+            self.carry_offset(direction, theta, below)
+        return direction
+
+    def gain_direction(self, theta: Vector) -> Vector:
+        """Return the direction of θ along which the dc gain alone grows, by its own size for 1."""
+        direction = [0.0] * self.size
+        direction[self.order : self.first] = theta[self.order : self.first]
+        self.carry_offset(direction, theta, 1.0)
+        return direction
+
+    def carry_offset(self, direction: Vector, theta: Vector, divisor: float) -> None:
+        """Let what acts with the input move with the gain: bias and charge, over a divisor."""
+        for i in range(self._charge, self.size):
+            direction[i] = theta[i] / divisor
+
+    def deviations(self, estimate: Estimate, noise: float, values: Vector) -> Vector:
+        """Return standard deviations of the physical parameters, to first order.
+
+        Args:
+            estimate: θ and P.
+            noise: σ of the innovations, scaled.
+            values: The parameters at θ.
+        """
+        size, root = len(values), self.root(estimate, noise, values)
+        return [math.hypot(*root[i * size : (i + 1) * size]) for i in range(size)]
+
+    def root(self, estimate: Estimate, noise: float, values: Vector) -> Vector:
+        """Return L, lower triangular, flat, of their covariance L Lᵀ, to first order.
+
+        Args:
+            estimate: θ and P.
+            noise: σ of the innovations, scaled.
+            values: The parameters at θ.
+        """
+        size, count, known = len(values), self.size, estimate.covariance()
+        rows, root = self._jacobian(estimate.theta, values), [0.0] * (size * size)
+        for i in range(size):
+            for j in range(i + 1):
+                rest = 0.0
+                for m in range(count):
+                    for n in range(count):
+                        rest += rows[i * count + m] * known[m * count + n] * rows[j * count + n]
+                rest *= noise * noise
+                whole = rest
+                for m in range(j):
+                    rest -= root[i * size + m] * root[j * size + m]
+                if i == j:
+                    root[i * size + i] = math.sqrt(rest) if not rest < _TINY * whole else 0.0
+                elif root[j * size + j] > 0.0:
+                    root[i * size + j] = rest / root[j * size + j]
+        return root
+
+    def _jacobian(self, theta: Vector, values: Vector) -> Vector:
+        """Derivatives of the physical parameters by θ, a row for each; NaN without a dc gain."""
+        count, load = self.size, self.load
+        rows = [0.0] * (len(values) * count)
+        for j in range(self.first):
+            step = 1e-6 * max(1.0, abs(theta[j]))
+            moved = list(theta)
+            moved[j] += step
+            numerator, denominator = self.model(moved)
+            if lacks(abs(denominator[load.order]), _TINY):
+                return [math.nan] * len(rows)
+            shifted = load.physical(numerator, denominator)
+            for i in range(len(values)):
+                rows[i * count + j] = (shifted[i] - values[i]) / step
+        return rows
 
 
 def _without_factor(polynomial: Vector, constant: float) -> Vector:
@@ -196,140 +361,3 @@ def _without_factor(polynomial: Vector, constant: float) -> Vector:
         carried = polynomial[i] - constant * carried
         quotient[i] = carried
     return quotient
-
-
-def fill_filtered_regressor(
-    regressor: Vector,
-    learning: EstimatorSettings,
-    load: Load,
-    output_filtered: Vector,
-    input_filtered: Vector,
-) -> None:
-    """r of the λ-method (29).
-
-    Args:
-        regressor: r, overwritten.
-        learning: Scales.
-        load: Order and structure.
-        output_filtered: λy ... λ^m y.
-        input_filtered: u, λu ... λ^m u.
-    """
-    order = fitted_order(learning, load)
-    for i in range(order):
-        regressor[i] = -output_filtered[i] / learning.output_scale
-    for i in range(len(load.input_powers)):
-        value = _input_behind_lag(learning, input_filtered, load.input_powers[i])
-        regressor[order + i] = value / learning.input_scale
-    if learning.bias:
-        regressor[len(regressor) - 1] = 1.0
-
-
-def fill_initial_state(
-    regressor: Vector, learning: EstimatorSettings, load: Load, elapsed_s: float
-) -> None:
-    """The part of r that stands for the state at the start.
-
-    Args:
-        regressor: r of the λ-method, overwritten.
-        learning: Whether that state is learnt.
-        load: Order and structure.
-        elapsed_s: t.
-    """
-    first = fitted_order(learning, load) + len(load.input_powers)
-    ratio = elapsed_s / learning.tau_lambda_s
-    value = math.exp(-ratio)
-    for i in range(initial_state_count(learning, load)):
-        regressor[first + i] = value
-        value *= ratio
-
-
-def fill_charge(regressor: Vector, learning: EstimatorSettings, charge: float) -> None:
-    """The part of r that stands for the charge, where one is learnt.
-
-    Args:
-        regressor: r of the λ-method, overwritten.
-        learning: Whether it is learnt.
-        charge: q/τ_λ, scaled as the output.
-    """
-    if learning.charge:
-        regressor[charge_index(learning, len(regressor))] = charge
-
-
-def fill_lowered_regressor(
-    lowered: Vector,
-    learning: EstimatorSettings,
-    load: Load,
-    output: float,
-    output_filtered: Vector,
-    input_filtered: Vector,
-) -> None:
-    """(τ_λ p + 1) r: r of the λ-method with every power of λ lowered by one.
-
-    Args:
-        lowered: Overwritten; without the functions of the initial state.
-        learning: Scales.
-        load: Order and structure; a direct term is left as it is, no load of second order has one.
-        output: y.
-        output_filtered: λy ... λ^m y.
-        input_filtered: u, λu ... λ^m u.
-    """
-    outputs = [output, *output_filtered[: len(output_filtered) - 1]]
-    inputs = [input_filtered[0], *input_filtered[: len(input_filtered) - 1]]
-    fill_filtered_regressor(lowered, learning, load, outputs, inputs)
-
-
-def _input_behind_lag(learning: EstimatorSettings, input_filtered: Vector, power: int) -> float:
-    """Return λ^i u, or λ^(i-1) v where a short lag is known."""
-    if not has_short_lag(learning):
-        return input_filtered[power]
-    share = learning.short_lag_s / learning.tau_lambda_s
-    return (1.0 + share) * input_filtered[power - 1] - share * input_filtered[power - 2]
-
-
-def initial_state_count(learning: EstimatorSettings, load: Load) -> int:
-    """Length of γ: of the state at the start, and of that at each change."""
-    return fitted_order(learning, load) if learning.initial_state or learning.alert else 0
-
-
-def dc_gain(theta: Vector, learning: EstimatorSettings, load: Load) -> float:
-    """Σβ / (1 + Σα), scaled; 0 where there is none."""
-    below, order = 1.0, fitted_order(learning, load)
-    for i in range(order):
-        below += theta[i]
-    above = total(theta[order : order + len(load.input_powers)])
-    return above / below if abs(below) > _TINY else 0.0
-
-
-def filtered_model(theta: Vector, learning: EstimatorSettings, load: Load) -> tuple[Vector, Vector]:
-    """H(s) of an estimate of the λ-method: numerator and denominator."""
-    order, scale = fitted_order(learning, load), learning.output_scale / learning.input_scale
-    if has_short_lag(learning):
-        scale *= learning.tau_lambda_s / learning.short_lag_s
-    alpha = [1.0, *theta[:order]]
-    beta = [0.0] * (load.order + 1)
-    for i in range(len(load.input_powers)):
-        beta[load.input_powers[i]] = theta[order + i] * scale
-    numerator = from_lambda(beta, learning.tau_lambda_s)
-    denominator = from_lambda(alpha, learning.tau_lambda_s)
-    if has_short_lag(learning):
-        denominator = multiply(denominator, [1.0, 1.0 / learning.short_lag_s])
-    return numerator, denominator
-
-
-def input_offset(theta: Vector, learning: EstimatorSettings, load: Load, charge: float) -> float:
-    """The constant input with the effect of the estimated bias and charge; NaN without a bias.
-
-    Args:
-        theta: θ.
-        learning: What is learnt, and scales.
-        load: Order and structure.
-        charge: q/τ_λ, scaled.
-    """
-    if not learning.bias:
-        return math.nan
-    shift = theta[len(theta) - 1]
-    if learning.charge:
-        shift += theta[charge_index(learning, len(theta))] * charge
-    order = fitted_order(learning, load)
-    gain = total(theta[order : order + len(load.input_powers)])
-    return shift / gain * learning.input_scale if gain else math.nan

@@ -22,11 +22,10 @@ the input from limit to limit would otherwise trip a healthy drive whose model i
 """
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 
 from adaptdrive.control.settings import SupervisionLimits
-from adaptdrive.control.thresholds import MEMORY, WINDOW
+from adaptdrive.control.thresholds import EARLIEST, FEWEST, MEMORY, WINDOW
 
 # The watch over the adaptive controller: when to return to the fixed one, and for how long.
 
@@ -37,10 +36,10 @@ tenth of it in that time."""
 GROWTH = 1.0 / CLOSER
 """Ratio of a growing peak to the one before: noise changes equal peaks by less than a tenth."""
 
-SWINGS = 6
-"""Growing peaks in a row: three full oscillations, which a step response does not make."""
+SWINGS = FEWEST
+"""Growing peaks in a row: two and a half oscillations, which a step response does not make."""
 
-TIME_CONSTANTS = 10.0
+TIME_CONSTANTS = EARLIEST
 """Closed-loop time constants with a large error: four equal poles have let a step decay to 1 %."""
 
 
@@ -54,177 +53,144 @@ class Fallback(IntEnum):
     BLIND = 4
 
 
-@dataclass(slots=True)
-class MonitorState:
-    """State of the watch.
+class LoopMonitor:
+    """Watch over the adaptive controller, and over the answer of the load to either one.
 
     Attributes:
-        fallback: Reason, 0 for none.
-        calm_periods: Periods in a row in which the watch has seen nothing.
-        asked: Whether adaptive was asked for in the last period.
-        stuck_periods: Periods in a row at a limit, away from rest and without coming closer.
-        stuck_distance: Distance from rest when the count began.
-        fast: Output of a load with the nominal gain and the shortest lag within bounds.
+        fallback: Reason to be under the fixed controller, 0 for none.
         slow: Output of a load with the nominal gain and the longest lag within bounds.
-        limit_periods: Periods in a row with the input at a limit.
-        limit_output: Output when that began.
-        limit_fast: `fast` when that began.
-        limit_slow: `slow` when that began.
-        moved: Largest distance of the output from `limit_output` since.
-        error_periods: Periods in a row with a large error and a free input.
-        last_error: Error of the last period.
-        peak: Largest error since it last changed its sign.
-        last_peak: The peak before.
-        swings: Growing peaks in a row.
     """
 
-    fallback: int = Fallback.NONE
-    calm_periods: int = 0
-    asked: bool = False
-    stuck_periods: int = 0
-    stuck_distance: float = 0.0
-    fast: float = 0.0
-    slow: float = 0.0
-    limit_periods: int = 0
-    limit_output: float = 0.0
-    limit_fast: float = 0.0
-    limit_slow: float = 0.0
-    moved: float = 0.0
-    error_periods: int = 0
-    last_error: float = 0.0
-    peak: float = 0.0
-    last_peak: float = 0.0
-    swings: int = 0
+    def __init__(self, limits: SupervisionLimits, output: float) -> None:
+        """Begin without a cause.
 
+        Args:
+            limits: Limits and bounds.
+            output: Where the nominal load rests at the present input.
+        """
+        self._limits = limits
+        self.fallback: int = Fallback.NONE
+        self.slow = output
+        self._fast = output  # the same with the shortest lag
+        self._calm_periods = 0
+        self._asked = False
+        self._stuck_periods = 0  # at a limit, away from rest and without coming closer
+        self._stuck_distance = 0.0
+        self._limit_periods = 0  # with the input at a limit; output and lags when that began:
+        self._limit_output = self._limit_fast = self._limit_slow = 0.0
+        self._moved = 0.0
+        self._error_periods = 0
+        self._last_error = self._peak = self._last_peak = 0.0
+        self._swings = 0
 
-def monitor_loop(
-    state: MonitorState,
-    supervision: SupervisionLimits,
-    error: float,
-    strayed: float,
-    rest_distance: float,
-    pole: float,
-    held_share: float,
-    saturated: bool,
-) -> int:
-    """Check one slow period.
+    def check(
+        self,
+        *,
+        error: float,
+        strayed: float,
+        rest_distance: float,
+        pole: float,
+        held_share: float,
+        saturated: bool,
+        asked: bool,
+    ) -> None:
+        """Check one slow period, and keep a reason to return to the fixed controller.
 
-    Args:
-        state: Overwritten.
-        supervision: Limits.
-        error: r - y.
-        strayed: Response that was asked for, minus y: a slow pole alone is no error.
-        rest_distance: How far y is from where a model rests at this input.
-        pole: Closed-loop pole in force.
-        held_share: Share of the period without fresh measurements.
-        saturated: Whether the last input was at a limit or could not be followed.
+        Args:
+            error: r - y.
+            strayed: Response that was asked for, minus y: a slow pole alone is no error.
+            rest_distance: How far y is from where a model rests at this input.
+            pole: Closed-loop pole in force.
+            held_share: Share of the period without fresh measurements.
+            saturated: Whether the last input was at a limit or could not be followed.
+            asked: Whether adaptive is asked for.
+        """
+        self._watch_saturation(rest_distance, saturated)
+        small = saturated or abs(strayed) <= self._limits.error_limit
+        self._error_periods = 0 if small else self._error_periods + 1
+        self._watch_swings(error)
+        self._latch(self._reason(pole, held_share), asked)
 
-    Returns:
-        The reason to return to the fixed controller, 0 for none.
-    """
-    _watch_saturation(state, supervision, rest_distance, saturated)
-    _watch_error(state, supervision, strayed, saturated)
-    _watch_swings(state, supervision, error)
-    if held_share > 1.0 - held_share:  # more is guessed than measured
-        return Fallback.BLIND
-    if 0 < supervision.saturated_periods < state.stuck_periods:
-        return Fallback.SATURATED
-    if supervision.error_limit > 0.0 and state.error_periods * (1.0 - pole) > TIME_CONSTANTS:
-        return Fallback.ERROR
-    if state.swings >= SWINGS:
-        return Fallback.OSCILLATING
-    return Fallback.NONE
+    def _reason(self, pole: float, held_share: float) -> int:
+        limits = self._limits
+        if held_share > 1.0 - held_share:  # more is guessed than measured
+            return Fallback.BLIND
+        if 0 < limits.saturated_periods < self._stuck_periods:
+            return Fallback.SATURATED
+        if limits.error_limit > 0.0 and self._error_periods * (1.0 - pole) > TIME_CONSTANTS:
+            return Fallback.ERROR
+        return Fallback.OSCILLATING if self._swings >= SWINGS else Fallback.NONE
 
+    def _latch(self, reason: int, asked: bool) -> None:
+        """Keep a reason, while adaptive is asked for, until its cause is gone.
 
-def latch_fallback(state: MonitorState, reason: int, asked: bool) -> None:
-    """Keep a reason, while adaptive is asked for, until its cause is gone or the operator ends it.
+        Asking for adaptive anew arms the watch again.
+        """
+        calm = reason == Fallback.NONE and self._stuck_periods == 0 and self._error_periods == 0
+        self._calm_periods = self._calm_periods + 1 if calm else 0
+        if asked and not self._asked:
+            self.fallback = Fallback.NONE
+            self._error_periods = self._swings = 0
+        elif asked and self.fallback == Fallback.NONE:
+            self.fallback = reason
+        elif self.fallback != Fallback.OSCILLATING and self._calm_periods >= WINDOW:
+            self.fallback = Fallback.NONE
+        self._asked = asked
 
-    Asking for adaptive anew arms the watch again.
-    """
-    calm = reason == Fallback.NONE and state.stuck_periods == 0 and state.error_periods == 0
-    state.calm_periods = state.calm_periods + 1 if calm else 0
-    if asked and not state.asked:
-        state.fallback = Fallback.NONE
-        state.error_periods = state.swings = 0
-    elif asked and state.fallback == Fallback.NONE:
-        state.fallback = reason
-    elif state.fallback != Fallback.OSCILLATING and state.calm_periods >= WINDOW:
-        state.fallback = Fallback.NONE
-    state.asked = asked
+    def check_response(
+        self, expected: float, lag_periods: float, output: float, saturated: bool
+    ) -> bool:
+        """Follow the input with both lags; return whether the load must have moved and has not.
 
+        Args:
+            expected: Where the nominal load rests at the input of the elapsed period.
+            lag_periods: Sum of its time constants, in slow periods.
+            output: y.
+            saturated: Whether that input was at a limit or could not be followed.
+        """
+        limits = self._limits
+        self._fast += _share(limits.ratio_min * lag_periods) * (expected - self._fast)
+        self.slow += _share(limits.ratio_max * lag_periods) * (expected - self.slow)
+        if not saturated:
+            self._limit_periods = 0
+            return False
+        if self._limit_periods == 0:
+            self._limit_output, self._moved = output, 0.0
+            self._limit_fast, self._limit_slow = self._fast, self.slow
+        self._limit_periods += 1
+        self._moved = max(self._moved, abs(output - self._limit_output))
+        return self._is_unresponsive()
 
-def monitor_response(
-    state: MonitorState,
-    supervision: SupervisionLimits,
-    expected: float,
-    lag_periods: float,
-    output: float,
-    saturated: bool,
-) -> bool:
-    """Follow the input with both lags; True when the load must have moved and has not.
+    def _is_unresponsive(self) -> bool:
+        limits = self._limits
+        long = 0 < limits.response_periods < self._limit_periods
+        if not long or self._moved >= limits.response_distance:
+            return False
+        fast, slow = abs(self._fast - self._limit_fast), abs(self.slow - self._limit_slow)
+        return limits.ratio_min * min(fast, slow) > limits.response_distance
 
-    Args:
-        state: Overwritten.
-        supervision: Limits and bounds.
-        expected: Where the nominal load rests at the input of the elapsed period.
-        lag_periods: Sum of its time constants, in slow periods.
-        output: y.
-        saturated: Whether that input was at a limit or could not be followed.
-    """
-    state.fast += _share(supervision.ratio_min * lag_periods) * (expected - state.fast)
-    state.slow += _share(supervision.ratio_max * lag_periods) * (expected - state.slow)
-    if not saturated:
-        state.limit_periods = 0
-        return False
-    if state.limit_periods == 0:
-        state.limit_output, state.moved = output, 0.0
-        state.limit_fast, state.limit_slow = state.fast, state.slow
-    state.limit_periods += 1
-    state.moved = max(state.moved, abs(output - state.limit_output))
-    return _is_unresponsive(state, supervision)
+    def _watch_saturation(self, rest_distance: float, saturated: bool) -> None:
+        """Count the periods at a limit in which the output neither rests nor comes closer to it."""
+        if not saturated or rest_distance <= self._limits.response_distance:
+            self._stuck_periods = 0
+            return
+        if self._stuck_periods == 0 or rest_distance < CLOSER * self._stuck_distance:
+            self._stuck_periods = 0
+            self._stuck_distance = rest_distance
+        self._stuck_periods += 1
 
-
-def _is_unresponsive(state: MonitorState, supervision: SupervisionLimits) -> bool:
-    long = 0 < supervision.response_periods < state.limit_periods
-    if not long or state.moved >= supervision.response_distance:
-        return False
-    fast, slow = abs(state.fast - state.limit_fast), abs(state.slow - state.limit_slow)
-    return supervision.ratio_min * min(fast, slow) > supervision.response_distance
+    def _watch_swings(self, error: float) -> None:
+        if error * self._last_error < 0.0:
+            grows = self._peak > GROWTH * self._last_peak and self._peak >= self._limits.swing_min
+            self._swings = self._swings + 1 if grows else 0
+            self._last_peak, self._peak = self._peak, 0.0
+        self._peak = max(self._peak, abs(error))
+        self._last_error = error
 
 
 def _share(lag_periods: float) -> float:
     """Share of its way that a first-order lag goes in one slow period."""
     return 1.0 - math.exp(-1.0 / lag_periods) if lag_periods > 0.0 else 1.0
-
-
-def _watch_saturation(
-    state: MonitorState, supervision: SupervisionLimits, rest_distance: float, saturated: bool
-) -> None:
-    """Count the periods at a limit in which the output neither rests nor comes closer to it."""
-    if not saturated or rest_distance <= supervision.response_distance:
-        state.stuck_periods = 0
-        return
-    if state.stuck_periods == 0 or rest_distance < CLOSER * state.stuck_distance:
-        state.stuck_periods = 0
-        state.stuck_distance = rest_distance
-    state.stuck_periods += 1
-
-
-def _watch_error(
-    state: MonitorState, supervision: SupervisionLimits, strayed: float, saturated: bool
-) -> None:
-    small = saturated or abs(strayed) <= supervision.error_limit
-    state.error_periods = 0 if small else state.error_periods + 1
-
-
-def _watch_swings(state: MonitorState, supervision: SupervisionLimits, error: float) -> None:
-    if error * state.last_error < 0.0:
-        small = state.peak < supervision.swing_min
-        grows = state.peak > GROWTH * state.last_peak
-        state.swings = state.swings + 1 if grows and not small else 0
-        state.last_peak, state.peak = state.peak, 0.0
-    state.peak = max(state.peak, abs(error))
-    state.last_error = error
 
 
 # The watch over the fixed controller: a limit cycle ends in the safe state.
@@ -237,64 +203,57 @@ the estimate is within its bounds, and the mean errors have forgotten the last s
 LONGEST_WAY = MEMORY
 """Slow periods after which a way belongs to no cycle: the one before is forgotten by then."""
 
-AT_LIMIT = 0.1
+AT_LIMIT = 1.0 - CLOSER
 """Distance from a limit, as a share of the range of the input, that counts as at the limit."""
 
 FAR_BETTER = 3.0
 """Ratio of rms prediction errors, model over estimate, that contradicts model and bounds."""
 
 
-@dataclass(slots=True)
-class LimitCycleState:
-    """State of the watch.
+class CycleMonitor:
+    """Watch over the fixed controller for a limit cycle.
 
     Attributes:
-        side: Limit at which the input was last: -1, 1, or 0 for none yet.
         traverses: Ways from limit to limit in a row.
-        way_periods: Slow periods since the input was last at that limit.
-        reference: Set-point at which the count began.
     """
 
-    side: int = 0
-    traverses: int = 0
-    way_periods: int = 0
-    reference: float = 0.0
+    def __init__(self, reference_step: float) -> None:
+        """Begin without a way.
 
+        Args:
+            reference_step: Smallest change of the set-point that begins the count anew; infinite
+                for no watch.
+        """
+        self._reference_step = reference_step
+        self.traverses = 0
+        self._side = 0  # limit at which the input was last: -1, 1, or 0 for none yet
+        self._way_periods = 0  # slow periods since then
+        self._reference = 0.0
 
-def monitor_limit_cycle(
-    state: LimitCycleState,
-    position: float,
-    reference: float,
-    reference_step: float,
-    better: float,
-    fixed: bool,
-) -> bool:
-    """Check one slow period; True for a limit cycle.
+    def check(self, position: float, reference: float, better: float, fixed: bool) -> bool:
+        """Check one slow period; return whether the loop is in a limit cycle.
 
-    Args:
-        state: Overwritten.
-        position: Input in force, 0 at its lowest and 1 at its highest.
-        reference: r.
-        reference_step: Smallest change of it that begins the count anew; infinite for no watch.
-        better: Rms prediction error of the model, its mean left out, over that of the estimate.
-        fixed: Whether the fixed controller is in force.
-    """
-    if math.isinf(reference_step):
-        return False
-    if not fixed or abs(reference - state.reference) > reference_step:
-        state.side = state.traverses = 0
-        state.reference = reference
-    state.way_periods += 1
-    side = 1 if position >= 1.0 - AT_LIMIT else -1 if position <= AT_LIMIT else 0
-    if side != 0:
-        _arrive(state, side)
-    return fixed and state.traverses >= TRAVERSES and better > FAR_BETTER
+        Args:
+            position: Input in force, 0 at its lowest and 1 at its highest.
+            reference: r.
+            better: Rms prediction error of the model, its mean left out, over that of the estimate.
+            fixed: Whether the fixed controller is in force.
+        """
+        if math.isinf(self._reference_step):
+            return False
+        if not fixed or abs(reference - self._reference) > self._reference_step:
+            self._side = self.traverses = 0
+            self._reference = reference
+        self._way_periods += 1
+        side = 1 if position >= 1.0 - AT_LIMIT else -1 if position <= AT_LIMIT else 0
+        if side != 0:
+            self._arrive(side)
+        return fixed and self.traverses >= TRAVERSES and better > FAR_BETTER
 
-
-def _arrive(state: LimitCycleState, side: int) -> None:
-    """Count a way that has ended at a limit."""
-    if state.way_periods > LONGEST_WAY:
-        state.traverses = 0
-    elif side == -state.side:
-        state.traverses += 1
-    state.side, state.way_periods = side, 0
+    def _arrive(self, side: int) -> None:
+        """Count a way that has ended at a limit."""
+        if self._way_periods > LONGEST_WAY:
+            self.traverses = 0
+        elif side == -self._side:
+            self.traverses += 1
+        self._side, self._way_periods = side, 0

@@ -23,55 +23,42 @@ V_c can hold: where there is no room on one side, to the other. A charger never 
 was asked for: its current gets a ripple of a share of itself, downwards, each level for the time
 constant of the nominal battery, and none while the voltage limit lowers it. A probe ends when the
 load is known, and at once when the operator asks for anything else, the input reaches a limit, or
-the fixed controller has taken over for good. It never lasts longer than four excursions, and
+the fixed controller has taken over for good. It never lasts longer than five excursions, and
 `stale_periods` must pass before the next one.
 """
 
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control.estimation.regression import SlowSample
-from adaptdrive.control.estimation.uncertainty import is_contested
 from adaptdrive.control.loads.load import Load, to_input
-from adaptdrive.control.settings import EstimatorSettings, PowerStage, Probing
+from adaptdrive.control.settings import PowerStage, Probing
+from adaptdrive.control.signals import SlowSample
 from adaptdrive.control.supervision import monitor, supervisor
 from adaptdrive.control.supervision.state import ProbeState, SlowState
-from adaptdrive.control.vectors import total
+from adaptdrive.control.thresholds import FEWEST
 
 # Steady state of the load at a constant input, by the nominal and by the trusted model.
 
 
-def distance_from_rest(
-    learning: EstimatorSettings, load: Load, state: SlowState, output: float
-) -> float:
+def distance_from_rest(load: Load, state: SlowState, output: float) -> float:
     """Return how far the output is from the nearest place where a model rests at this input.
 
     Args:
-        learning: Scales, and whether an offset is estimated.
         load: The nominal model.
         state: The input in force, the last trusted model, and the estimate.
         output: y[k].
     """
-    offset = estimated_offset(learning, load, state)
+    offset = estimated_offset(state)
     distance = _distance(load, load.gain, state.sent, offset, output)
-    if state.supervisor.trusted:
-        gain = total(state.trusted_b) / total(state.trusted_a)
+    if state.supervisor.trusted and state.law is not None:
+        gain = state.law.plant.gain
         distance = min(distance, _distance(load, gain, state.sent, offset, output))
     return distance
 
 
-def estimated_offset(learning: EstimatorSettings, load: Load, state: SlowState) -> float:
-    """Return the estimated offset of the input, 0 where none is estimated.
-
-    Args:
-        learning: Scales, and whether an offset is estimated.
-        load: The nominal model.
-        state: The estimate.
-    """
-    estimator = state.estimator
-    if not (estimator.method.physical and learning.bias):
-        return 0.0
-    estimated = estimator.method.input_offset(estimator, learning, load)
+def estimated_offset(state: SlowState) -> float:
+    """Return the estimated offset of the input, 0 where none is estimated."""
+    estimated = state.estimator.input_offset() if state.estimator.physical else 0.0
     return estimated if math.isfinite(estimated) else 0.0
 
 
@@ -124,19 +111,16 @@ def nominal_reach(load: Load, stage: PowerStage) -> Reach:
     return _reach(load, stage, load.gain, 0.0)
 
 
-def estimated_reach(
-    learning: EstimatorSettings, load: Load, stage: PowerStage, state: SlowState
-) -> Reach:
+def estimated_reach(load: Load, stage: PowerStage, state: SlowState) -> Reach:
     """Return what V_c reaches with the last trusted model and the present offset.
 
     Args:
-        learning: Scales, and whether an offset is estimated.
         load: The load.
         stage: Limits of V_c.
         state: An estimate that is trusted now.
     """
-    gain = total(state.trusted_b) / total(state.trusted_a)
-    return _reach(load, stage, gain, estimated_offset(learning, load, state))
+    gain = state.law.plant.gain if state.law is not None else math.nan
+    return _reach(load, stage, gain, estimated_offset(state))
 
 
 def _reach(load: Load, stage: PowerStage, gain: float, offset: float) -> Reach:
@@ -156,8 +140,9 @@ def _shown(value: float) -> float:
 HALF_DELAYS = 2.0
 """Time at each level, in delays of the response that is asked for: it has then settled."""
 
-EXCURSIONS = 4
-"""Longest probe: a load that four excursions do not show is hidden by noise."""
+EXCURSIONS = FEWEST
+"""Longest probe: a load that the fewest excursions which can show anything do not show is hidden
+by noise."""
 
 
 def half_periods(load: Load, pole: float, period_s: float) -> int:
@@ -228,7 +213,7 @@ def _is_free(probing: Probing, state: SlowState, sample: SlowSample, reference: 
 def _is_known(state: SlowState, excursion_periods: int) -> bool:
     """Return whether the last excursion has shown the load, and nothing contests the estimate."""
     estimator = state.estimator
-    seen = estimator.unseen_periods < excursion_periods and not is_contested(estimator)
+    seen = estimator.unseen_periods < excursion_periods and not estimator.is_contested()
     return seen and state.supervisor.verdict == supervisor.Verdict.TRUSTED
 
 

@@ -4,21 +4,20 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import signals, thresholds
-from adaptdrive.control.design import noise, pole_placement
-from adaptdrive.control.design.reference import ReferenceFilter, new_reference_filter
-from adaptdrive.control.estimation.estimator import EstimatorState, new_estimator, nominal_theta
-from adaptdrive.control.estimation.methods import METHODS
+from adaptdrive.control.design import pole_placement
+from adaptdrive.control.design.noise import Law
+from adaptdrive.control.design.reference import ReferenceFilter
+from adaptdrive.control.estimation.direct import new_estimator
 from adaptdrive.control.loads.battery import ChargeState
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import ControllerSettings, Probing, SupervisionLimits
 from adaptdrive.control.supervision.monitor import (
     FAR_BETTER,
+    CycleMonitor,
     Fallback,
-    LimitCycleState,
-    MonitorState,
+    LoopMonitor,
 )
-from adaptdrive.control.supervision.supervisor import SupervisorState, Verdict, better_than_nominal
-from adaptdrive.control.vectors import Vector
+from adaptdrive.control.supervision.supervisor import Supervisor, Verdict
 
 # State of the slow half between periods.
 
@@ -42,140 +41,79 @@ class ProbeState:
     shift: float = 0.0
 
 
-@dataclass(slots=True)
 class SlowState:
     """State of the slow half between periods.
 
     Attributes:
         inputs: u[k-1] ... u[k-n] as applied; where a limit cuts noise off, with it.
         outputs: y[k] ... y[k-m].
-        nominal: Nominal physical parameters.
         fixed_gains: Gains for the nominal model.
-        adaptive_gains: Gains for the last accepted estimate, of the quiet law.
-        fast_gains: The same of the law that acts.
-        fast_loop: A_c of these; zeros before there is a design.
-        values: Estimated physical parameters.
         pole: Pole that the fixed gains were designed for.
         period_s: Period that they were designed for.
-        handover_step: Law not in force minus law in force.
-        accepted: Whether the estimate of this period went live.
-        adaptive: Whether the adaptive law is in force.
         estimator: The estimator.
-        supervisor: The supervisor.
-        charge: The charger of a battery.
-        reference: r[k-1].
-        nominal_theta: θ of the nominal model.
-        possible: Models within the covariance of the estimate (`pole_placement`).
-        spread: How far the response may be off within the covariance, as a share of a step.
-        model_a: A of this period's estimate.
-        model_b: B of it.
-        equation: That of A and B (`pole_placement`), NaNs before the first.
-        trusted_a: A of the last trusted estimate.
-        trusted_b: B of it.
-        reference_filter: Reference filter of the adaptive law, and its preview.
-        new_loop: A_c of the design of this period.
-        circle: What margins need of the unit circle (`noise`).
-        expected: Response to the reference that was asked for, a lag for each pole.
+        values: Estimated physical parameters.
         recalled: Whether the estimate is what a run before this one had trusted.
-        saturated: Whether the last input was at a limit or could not be followed.
+        supervisor: The supervisor.
+        accepted: Whether the estimate of this period went live.
+        spread: How far the response may be off within the covariance, as a share of a step.
+        law: The adaptive law, made of the last trusted estimate; None before the first.
+        reference: r[k-1].
+        reference_filter: Reference filter of the adaptive law, and its preview.
+        adaptive: Whether the adaptive law is in force.
         blend: Share of the adaptive law in what is sent, 0 to 1.
+        handover_step: Law not in force minus law in force.
         sent: The input in force, within its limits.
-        input_noise: σ_u of the quiet law, with the noise that is counted at the least.
-        fast_noise: σ_u of the law that acts.
+        saturated: Whether the last input was at a limit or could not be followed.
+        expected: Response to the reference that was asked for, a lag for each pole.
         watch: The watch over the adaptive law.
         unresponsive: Whether the load has stopped to answer.
         cycles: The watch over the fixed law.
-        probe: The probing.
         cycling: Whether the fixed law is in a limit cycle.
+        charge: The charger of a battery.
+        probe: The probing.
     """
 
-    inputs: Vector
-    outputs: Vector
-    nominal: Vector
-    fixed_gains: Vector
-    adaptive_gains: Vector
-    fast_gains: Vector
-    fast_loop: Vector
-    values: Vector
-    pole: float
-    period_s: float
-    handover_step: float
-    accepted: bool
-    adaptive: bool
-    estimator: EstimatorState
-    supervisor: SupervisorState
-    charge: ChargeState
-    reference: float
-    nominal_theta: Vector
-    possible: Vector
-    spread: float
-    watch: MonitorState
-    cycles: LimitCycleState
-    probe: ProbeState
-    model_a: Vector
-    model_b: Vector
-    equation: Vector
-    trusted_a: Vector
-    trusted_b: Vector
-    reference_filter: ReferenceFilter
-    new_loop: Vector
-    circle: Vector
-    expected: Vector
-    recalled: bool = False
-    saturated: bool = False
-    blend: float = 0.0
-    sent: float = 0.0
-    input_noise: float = 0.0
-    fast_noise: float = 0.0
-    unresponsive: bool = False
-    cycling: bool = False
+    def __init__(
+        self, settings: ControllerSettings, load: Load, output: float, boost_voltage_V: float
+    ) -> None:
+        """Begin at rest: the present output and voltage have been there for ever.
 
-
-def new_slow_state(
-    settings: ControllerSettings, load: Load, output: float, boost_voltage_V: float
-) -> SlowState:
-    """A slow half at rest: the present output and voltage have been there for ever."""
-    taps, method = pole_placement.past_inputs(settings, load), METHODS[settings.learning.method]
-    load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
-    nominal = load.physical(list(load.numerator), list(load.denominator))
-    resting = output
-    if load.charging is not None:  # its EMF is not in the model
-        resting = load_input * load.gain
-    return SlowState(
-        inputs=[load_input] * taps,
-        outputs=[output] * (load.order + 1),
-        nominal=nominal,
-        fixed_gains=[0.0] * (taps + load.order + 1),
-        adaptive_gains=[0.0] * (taps + load.order + 1),
-        fast_gains=[0.0] * (taps + load.order + 1),
-        fast_loop=[0.0] * (load.order + taps + 1),
-        values=[math.nan] * len(nominal),
-        pole=math.nan,
-        period_s=math.nan,
-        handover_step=math.nan,
-        accepted=False,
-        adaptive=False,
-        estimator=new_estimator(method, settings.learning, load, taps),
-        supervisor=SupervisorState(),
-        charge=ChargeState(max(0.0, output)),
-        reference=output,
-        nominal_theta=nominal_theta(method, settings.learning, load, taps),
-        possible=[math.nan] * ((2 * len(nominal) + 1) * (load.order + taps + 2)),
-        spread=math.nan,
-        watch=MonitorState(fast=resting, slow=resting),
-        cycles=LimitCycleState(),
-        probe=ProbeState(),
-        model_a=[1.0] + [0.0] * load.order,
-        model_b=[0.0] * (taps + 1),
-        equation=[math.nan] * ((load.order + taps) * (load.order + taps + 1)),
-        trusted_a=[1.0] + [0.0] * load.order,
-        trusted_b=[0.0] * (taps + 1),
-        reference_filter=new_reference_filter(load.order, taps),
-        new_loop=[0.0] * (load.order + taps + 1),
-        circle=noise.unit_circle(load.order + taps + 1),
-        expected=[output] * (2 * load.order),
-        sent=load_input,
-    )
+        Args:
+            settings: Designs, rates and rules.
+            load: The load and its nominal model.
+            output: y.
+            boost_voltage_V: v_bst.
+        """
+        taps = pole_placement.past_inputs(settings, load)
+        load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
+        nominal = load.physical(list(load.numerator), list(load.denominator))
+        # the EMF of a battery is not in its model
+        resting = output if load.charging is None else load_input * load.gain
+        self.inputs = [load_input] * taps
+        self.outputs = [output] * (load.order + 1)
+        self.fixed_gains = [0.0] * (taps + load.order + 1)
+        self.pole = self.period_s = math.nan
+        self.estimator = new_estimator(settings.learning, load, taps)
+        self.values = [math.nan] * len(nominal)
+        self.recalled = False
+        self.supervisor = Supervisor(settings.supervision, nominal)
+        self.accepted = False
+        self.spread = math.nan
+        self.law: Law | None = None
+        self.reference = output
+        self.reference_filter = ReferenceFilter(load.order, taps)
+        self.adaptive = False
+        self.blend = 0.0
+        self.handover_step = math.nan
+        self.sent = load_input
+        self.saturated = False
+        self.expected = [output] * (2 * load.order)
+        self.watch = LoopMonitor(settings.supervision, resting)
+        self.unresponsive = False
+        self.cycles = CycleMonitor(settings.supervision.swing_min)
+        self.cycling = False
+        self.charge = ChargeState(max(0.0, output))
+        self.probe = ProbeState()
 
 
 # Reasons why the adaptive law is not in force or may no longer fit the load, for operators.
@@ -259,12 +197,12 @@ def _uncertain(state: SlowState, supervision: SupervisionLimits) -> str:
 
 
 def _out_of_bounds(state: SlowState, supervision: SupervisionLimits, load: Load) -> str:
-    index = state.supervisor.out_of_bounds
-    nominal = state.nominal[index]
+    index = max(0, state.supervisor.out_of_bounds(state.values))
+    nominal = state.supervisor.nominal[index]
     low, high = supervision.ratio_min * nominal, supervision.ratio_max * nominal
     name, value = load.names[index], state.values[index]
     text = f"estimate {name} = {value:.4g} outside {low:.4g}…{high:.4g}"
-    better = better_than_nominal(state.supervisor)
+    better = state.supervisor.better_than_nominal()
     ratio = value / nominal
     if not (better > FAR_BETTER and 0.0 < ratio < math.inf):
         return text

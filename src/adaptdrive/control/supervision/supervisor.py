@@ -1,6 +1,6 @@
 """The supervisor: estimates are judged before they reach the gains.
 
-What fails for longer than patience lasts falls back to the fixed controller. With little
+An estimate that fails leaves the law to the fixed controller. With little
 excitation a wrong estimate can look sure of itself: a slow sine determines the gain and one more
 number, not three. So an estimate must also be one that such a load can have. Masses, baths and
 cells only store and lose: their poles are real, the damping of a second-order pair
@@ -11,11 +11,10 @@ is at least 1, and what noise takes from that is little.
 """
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 
 from adaptdrive.control import thresholds, vectors
-from adaptdrive.control.design.pole_placement import STABLE_RADIUS
+from adaptdrive.control.design.pole_placement import is_stable
 from adaptdrive.control.loads.load import is_damped
 from adaptdrive.control.settings import SupervisionLimits
 from adaptdrive.control.vectors import Vector
@@ -45,29 +44,126 @@ class Verdict(IntEnum):
     UNDERDAMPED = 9
 
 
-@dataclass(slots=True)
-class SupervisorState:
-    """State of the supervisor.
+class Supervisor:
+    """Judge of the estimates of one run.
 
     Attributes:
+        nominal: Nominal physical parameters.
         verdict: The last verdict.
-        out_of_bounds: Index of the parameter that was out of bounds.
         trusted: True while the adaptive gains may be in force.
-        refused_periods: Refused estimates in a row.
         good_periods: Accepted estimates in a row.
         own_power: Slow mean square of the estimate's own innovations, scaled.
         fixed_power: The same of the nominal model.
         fixed_mean: Slow mean of the nominal model's innovations, scaled.
     """
 
-    verdict: int = Verdict.WARMING_UP
-    out_of_bounds: int = 0
-    trusted: bool = False
-    refused_periods: int = 0
-    good_periods: int = 0
-    own_power: float = 0.0
-    fixed_power: float = 0.0
-    fixed_mean: float = 0.0
+    def __init__(self, limits: SupervisionLimits, nominal: Vector) -> None:
+        """Begin without an estimate.
+
+        Args:
+            limits: Bounds, margins and times.
+            nominal: Nominal physical parameters.
+        """
+        self._limits = limits
+        self.nominal = nominal
+        self.verdict: int = Verdict.WARMING_UP
+        self.trusted = False
+        self.good_periods = 0
+        self.own_power = 0.0
+        self.fixed_power = 0.0
+        self.fixed_mean = 0.0
+
+    def compare_residuals(self, own: float, fixed: float) -> None:
+        """Remember how well the estimate and the nominal model predicted this sample.
+
+        Args:
+            own: Squared innovation of the estimate, its own uncertainty taken out, scaled.
+            fixed: Innovation of the nominal model, scaled.
+        """
+        self.own_power += _RESIDUAL_RATE * (own - self.own_power)
+        self.fixed_power += _RESIDUAL_RATE * (fixed * fixed - self.fixed_power)
+        self.fixed_mean += _RESIDUAL_RATE * (fixed - self.fixed_mean)
+
+    def out_of_bounds(self, values: Vector) -> int:
+        """Return the first parameter that is out of its bounds around the nominal one; -1 for none.
+
+        Args:
+            values: Physical parameters.
+        """
+        limits = self._limits
+        for i in range(len(values)):
+            if not limits.ratio_min <= values[i] / self.nominal[i] <= limits.ratio_max:
+                return i
+        return -1
+
+    def judge_parameters(self, values: Vector, denominator: Vector) -> int:
+        """Check whether a load can have a model: within its bounds, and damped as with losses.
+
+        Args:
+            values: Physical parameters of the model.
+            denominator: Of the model in s, highest power first.
+        """
+        least = self._limits.damping_min
+        if self.out_of_bounds(values) >= 0:
+            return Verdict.OUT_OF_BOUNDS
+        if least > 0.0 and not is_damped(denominator, least):
+            return Verdict.UNDERDAMPED
+        return Verdict.TRUSTED
+
+    def judge_residual(self) -> int:
+        """Check whether the estimate predicts no worse than the nominal model does."""
+        margin = self._limits.residual_margin * self._limits.residual_margin
+        if margin > 0.0 and self.own_power > margin * self.fixed_power + _RESIDUAL_FLOOR:
+            return Verdict.WORSE_THAN_FIXED
+        return Verdict.TRUSTED
+
+    def better_than_nominal(self) -> float:
+        """Return rms errors of the nominal model over those of the estimate; 1 for small ones."""
+        return self._over_own_errors(self.fixed_power)
+
+    def moves_better_than_nominal(self) -> float:
+        """Return the ratio of `better_than_nominal` without the mean error of the nominal model.
+
+        The integrator of the fixed controller removes a constant error, which a wrong gain or a
+        load torque causes; wrong dynamics remain.
+        """
+        return self._over_own_errors(self.fixed_power - self.fixed_mean * self.fixed_mean)
+
+    def _over_own_errors(self, power: float) -> float:
+        """Return an rms error over that of the estimate from its square; 1 where it is small."""
+        if vectors.lacks(power, _RESIDUAL_FLOOR):
+            return 1.0
+        return math.sqrt(power / max(self.own_power, _RESIDUAL_FLOOR))
+
+    def take_verdict(self, verdict: int, periods: int, *, in_force: bool) -> bool:
+        """Remember a verdict; return whether the new gains may take effect.
+
+        Doubt that comes up while the trusted gains are in force counts as much as error: their own
+        samples contradict the estimate, and gains for a heavier load than the present one
+        oscillate before the new load is known. Doubt for lack of excitation, while they wait,
+        leaves them as they are.
+
+        Args:
+            verdict: Of the estimate of this period.
+            periods: Slow periods since start.
+            in_force: Whether the trusted gains are what holds the load.
+        """
+        self.verdict = verdict
+        if verdict != Verdict.TRUSTED:
+            contradicted = in_force and self.good_periods > 0
+            if self._limits.revokes and (contradicted or not is_uncertain(verdict)):
+                self.trusted = False
+            self.good_periods = 0
+            return False
+        self.good_periods += 1
+        if periods <= self._limits.warm_up_periods:
+            self.verdict = Verdict.WARMING_UP
+            return False
+        if self.good_periods < self._limits.dwell_periods:
+            self.verdict = Verdict.SETTLING
+            return False
+        self.trusted = True
+        return True
 
 
 def judge_model(numerator: Vector, denominator: Vector) -> int:
@@ -78,67 +174,6 @@ def judge_model(numerator: Vector, denominator: Vector) -> int:
     return Verdict.TRUSTED
 
 
-def judge_bounds(
-    values: Vector, nominal: Vector, supervision: SupervisionLimits, state: SupervisorState
-) -> int:
-    """Check whether every parameter is within its bounds around the nominal one."""
-    for i, value in enumerate(values):
-        ratio = value / nominal[i]
-        if not supervision.ratio_min <= ratio <= supervision.ratio_max:
-            state.out_of_bounds = i
-            return Verdict.OUT_OF_BOUNDS
-    return Verdict.TRUSTED
-
-
-def judge_damping(denominator: Vector, supervision: SupervisionLimits) -> int:
-    """Check that a model of second order is damped like a passive load with losses."""
-    least = supervision.damping_min
-    damped = not least > 0.0 or is_damped(denominator, least)
-    return Verdict.TRUSTED if damped else Verdict.UNDERDAMPED
-
-
-def compare_residuals(state: SupervisorState, own: float, fixed: float) -> None:
-    """Remember how well the estimate and the nominal model predicted this sample.
-
-    Args:
-        state: Overwritten.
-        own: Squared innovation of the estimate, its own uncertainty taken out, scaled.
-        fixed: Innovation of the nominal model, scaled.
-    """
-    state.own_power += _RESIDUAL_RATE * (own - state.own_power)
-    state.fixed_power += _RESIDUAL_RATE * (fixed * fixed - state.fixed_power)
-    state.fixed_mean += _RESIDUAL_RATE * (fixed - state.fixed_mean)
-
-
-def judge_residual(state: SupervisorState, supervision: SupervisionLimits) -> int:
-    """Check whether the estimate predicts no worse than the nominal model does."""
-    margin = supervision.residual_margin * supervision.residual_margin
-    if margin > 0.0 and state.own_power > margin * state.fixed_power + _RESIDUAL_FLOOR:
-        return Verdict.WORSE_THAN_FIXED
-    return Verdict.TRUSTED
-
-
-def better_than_nominal(state: SupervisorState) -> float:
-    """Return rms errors of the nominal model over those of the estimate; 1 where both are small."""
-    return _over_own_errors(state, state.fixed_power)
-
-
-def moves_better_than_nominal(state: SupervisorState) -> float:
-    """Return the ratio of `better_than_nominal` without the mean error of the nominal model.
-
-    The integrator of the fixed controller removes a constant error, which a wrong gain or a load
-    torque causes; wrong dynamics remain.
-    """
-    return _over_own_errors(state, state.fixed_power - state.fixed_mean * state.fixed_mean)
-
-
-def _over_own_errors(state: SupervisorState, power: float) -> float:
-    """Return an rms error over that of the estimate from its square; 1 where it is small."""
-    if vectors.lacks(power, _RESIDUAL_FLOOR):
-        return 1.0
-    return math.sqrt(power / max(state.own_power, _RESIDUAL_FLOOR))
-
-
 def judge_poles(polynomial: Vector, refusal: int) -> int:
     """Check whether a polynomial in z is finite and stable.
 
@@ -146,51 +181,9 @@ def judge_poles(polynomial: Vector, refusal: int) -> int:
         polynomial: A of the discrete model, or A_c of the designed loop.
         refusal: Verdict on one that is not stable.
     """
-    if not vectors.all_finite(polynomial):
-        return Verdict.NOT_FINITE
-    return Verdict.TRUSTED if vectors.is_stable(polynomial, STABLE_RADIUS) else refusal
-
-
-def take_verdict(
-    state: SupervisorState,
-    verdict: int,
-    supervision: SupervisionLimits,
-    periods: int,
-    in_force: bool,
-) -> bool:
-    """Remember a verdict; return whether the new gains may take effect.
-
-    The last trusted gains survive as many refusals in a row as patience allows. Doubt that comes
-    up while they are in force counts as much as error: their own samples contradict the estimate,
-    and gains for a heavier load than the present one oscillate before the new load is known. Doubt
-    for lack of excitation, while they wait, leaves them as they are.
-
-    Args:
-        state: Overwritten.
-        verdict: Of the estimate of this period.
-        supervision: Warm-up and patience.
-        periods: Slow periods since start.
-        in_force: Whether the trusted gains are what holds the load.
-    """
-    state.verdict = verdict
-    if verdict != Verdict.TRUSTED:
-        contradicted = in_force and state.good_periods > 0
-        if contradicted or not is_uncertain(verdict):
-            state.refused_periods += 1
-        state.good_periods = 0
-        if state.refused_periods > supervision.patience_periods:
-            state.trusted = False
-        return False
-    state.refused_periods = 0
-    state.good_periods += 1
-    if periods <= supervision.warm_up_periods:
-        state.verdict = Verdict.WARMING_UP
-        return False
-    if state.good_periods < supervision.dwell_periods:
-        state.verdict = Verdict.SETTLING
-        return False
-    state.trusted = True
-    return True
+    if is_stable(polynomial):
+        return Verdict.TRUSTED
+    return refusal if vectors.all_finite(polynomial) else Verdict.NOT_FINITE
 
 
 def is_uncertain(verdict: int) -> bool:
