@@ -183,7 +183,6 @@ LEARNING = _control({
 DESIGN = _control({
     "vectors": "test_vectors",
     "loads.discretise": "test_discretise test_impulse_hold",
-    "voltage_loop": "test_voltage_loop",
     "signals": "test_waveform",
     "loads.load": "test_loads",
     "loads.motor": "test_loads test_certainty",
@@ -191,7 +190,7 @@ DESIGN = _control({
 })  # fmt: skip
 
 HALVES = _control({
-    "fast": "test_fast_half test_rounding",
+    "fast": "test_fast_half test_rounding test_voltage_loop",
     "slow": (
         "test_slow_half test_charging test_certainty "
         "test_probing test_runs test_pole_placement"

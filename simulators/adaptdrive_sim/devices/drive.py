@@ -21,7 +21,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from adaptdrive.config.bus import MEASURED
-from adaptdrive.control import voltage_loop
+from adaptdrive.control import fast
 from adaptdrive.util.clock import TickTimer
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import HeldOutput, Sample
@@ -48,15 +48,15 @@ class VoltageHolder:
             return 0.0
         voltage_V = sample.boost_voltage_V
         if self._sum is None:
-            self._sum = voltage_loop.initial_sum(voltage_V)
+            self._sum = fast.initial_sum(voltage_V)
         load_W, line_V = sample.load_power_W, max(sample.line_voltage_V, LOWEST_LINE_V)
         duration_s, capacitance_F = sample.tick_period_s, self._capacitance_F
-        wanted_S = voltage_loop.current_scale(
+        wanted_S = fast.current_scale(
             self._sum, voltage_V, load_W, line_V, duration_s, capacitance_F
         )
         scale_S = min(max(wanted_S, self._lowest_S), SCALE_MAX_S)
         limit = (wanted_S > scale_S) - (wanted_S < scale_S)
-        self._sum = voltage_loop.advance_sum(self._sum, reference_V, voltage_V, limit)
+        self._sum = fast.advance_sum(self._sum, reference_V, voltage_V, limit)
         return scale_S
 
 

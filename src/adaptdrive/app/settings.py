@@ -10,7 +10,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration, consistency
 from adaptdrive.config.bus import CanBus, CanOpenBus
 from adaptdrive.config.load import ERROR_SHARE, FORGETTING, NOISE_SHARE, MotorSection
-from adaptdrive.control import thresholds, voltage_loop
+from adaptdrive.control import fast, thresholds
 from adaptdrive.control.estimation.direct import METHODS
 from adaptdrive.control.loads.discretise import KICK_SHARE, kick_factors
 from adaptdrive.control.loads.load import to_input
@@ -121,7 +121,7 @@ def daemon_settings(configuration: Configuration) -> DaemonSettings:
 def _lag_ticks(configuration: Configuration) -> float:
     """Mean delay of the loop that holds the boost voltage; a drive's own may have another."""
     lag_s = configuration.voltage_loop.lag_s
-    return voltage_loop.LAG_TICKS if lag_s is None else lag_s / configuration.drive.half_cycle_s
+    return fast.LAG_TICKS if lag_s is None else lag_s / configuration.drive.half_cycle_s
 
 
 def _power_stage(configuration: Configuration) -> PowerStage:

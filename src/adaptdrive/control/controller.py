@@ -9,7 +9,7 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from adaptdrive.control import fast, signals, slow, voltage_loop
+from adaptdrive.control import fast, signals, slow
 from adaptdrive.control.design.reference import AHEAD
 from adaptdrive.control.estimation import filters
 from adaptdrive.control.estimation.direct import METHODS
@@ -180,7 +180,7 @@ class Controller:
         self._fast = fast.FastState(
             tick=measurement.tick,
             boost_reference_V=reference_V,
-            error_sum=voltage_loop.initial_sum(held_V),
+            error_sum=fast.initial_sum(held_V),
         )
         if begun:
             self._begin_run(measurement, held_V, rest_V)

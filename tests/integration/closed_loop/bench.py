@@ -9,6 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.fast import LAG_TICKS
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.settings import (
@@ -27,7 +28,6 @@ from adaptdrive.control.signals import (
     SlowSample,
     Stage,
 )
-from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import NoiseParameters, World, WorldParameters

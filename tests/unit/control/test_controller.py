@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.design.pole_placement import Plant, discrete_model
+from adaptdrive.control.fast import LAG_TICKS
 from adaptdrive.control.settings import ControllerSettings, Rates, SupervisionLimits
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -21,7 +22,6 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive_sim.world import NoiseParameters
 from tests.integration.closed_loop.bench import (
     EXACT,

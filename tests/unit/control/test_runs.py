@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.fast import LAG_TICKS
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.load import Charging
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.signals import Measurement, Mode, Order, Snapshot, Stage
-from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive_sim.world import NoiseParameters
 from tests.integration.closed_loop.bench import (
     EXACT,

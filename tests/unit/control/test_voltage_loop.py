@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from adaptdrive.control.voltage_loop import (
+from adaptdrive.control.fast import (
     INTEGRAL,
     LAG_TICKS,
     PROPORTIONAL,
