@@ -153,3 +153,7 @@ def test_a_second_lag_near_0_may_be_as_uncertain_as_it_likes() -> None:
 
 def test_a_load_within_the_covariance_that_the_loop_does_not_hold_leaves_all_open() -> None:
     assert spread(HEAVY, np.diag([0.0, 0.0, 80.0]), 0.4) == math.inf
+
+
+def test_a_covariance_that_is_not_known_leaves_all_open() -> None:
+    assert spread(HEAVY, np.full((3, 3), np.nan)) == math.inf

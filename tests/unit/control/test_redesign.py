@@ -199,3 +199,19 @@ def test_a_loop_that_is_asked_to_grow_is_refused() -> None:
     redesign.adapt(CAREFUL, MOTOR, state, replace(AT_REST, pole=1.02))
     assert state.supervisor.verdict == Verdict.UNSTABLE_LOOP
     assert not state.accepted
+
+
+def test_what_an_earlier_run_has_learnt_acts_by_the_quiet_law_until_it_is_sure() -> None:
+    """Before samples nothing is known of the covariance, and the fast law is not looked for."""
+    loud = replace(CAREFUL, supervision=replace(JACKET, noise_max=200.0))
+    state = SlowState(loud, MOTOR, 3.0, REST_V)
+    assert isinstance(state.estimator, LambdaEstimator)
+    state.estimator.start_from(parameters(2.0))
+    state.recalled = True
+    assert adapted(state, loud) == Verdict.UNCERTAIN
+    assert state.law is not None
+    assert state.law.fast_gains == state.law.quiet_gains
+    sure = known(2.0, loud)
+    adapted(sure, loud)
+    assert sure.law is not None
+    assert sure.law.fast_gains != sure.law.quiet_gains

@@ -28,12 +28,13 @@ class _Candidate:
     Attributes:
         plant: Discrete model of the estimate.
         quiet: A_c of the quiet law.
-        possible: Discrete models within the covariance of the estimate; empty where none is asked.
+        possible: Discrete models within the covariance of the estimate, empty where that is not
+            known; None where the design does not ask for them.
     """
 
     plant: Plant
     quiet: Vector
-    possible: list[Plant]
+    possible: list[Plant] | None
 
 
 def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample) -> None:
@@ -91,7 +92,7 @@ def _judged(
     verdict = supervisor.judge_poles(plant.closed(plant.gains(quiet)), Verdict.UNSTABLE_LOOP)
     if verdict != Verdict.TRUSTED:
         return verdict, None
-    possible: list[Plant] = []
+    possible: list[Plant] | None = None
     if limit.spread_max > 0.0 and state.estimator.physical:
         root = state.estimator.root(state.values)
         possible = pole_placement.possible_plants(
@@ -107,7 +108,7 @@ def _law(settings: ControllerSettings, state: SlowState, candidate: _Candidate, 
     """Design the fast law; the quiet one acts where the covariance leaves the fast one unsure."""
     plant, quiet, limits = candidate.plant, candidate.quiet, settings.supervision
     fast = fast_loop(plant, pole, quiet, output_noise(settings, state, 0.0), limits.noise_max)
-    if candidate.possible:
+    if candidate.possible is not None:
         spread = plant.response_spread(candidate.possible, fast, pole)
         fast = quiet if vectors.exceeds(spread, limits.spread_max) else fast
     least = thresholds.NOISE_FLOOR
