@@ -61,6 +61,7 @@ _UNITS = {
     "WIDE": "1",
     "LOST_SHARE": "1",
     "DRIFT": "σ²",
+    "_FAST_RATE": "1/period",
     "CLOSER": "1",
     "FAR_BETTER": "1",
     "_LOWEST_LINE": "1",

@@ -169,6 +169,9 @@ def _score(branch: Branch) -> float:
 _WALK = 30.0
 """Random walk of the bias in σ for each slow period: the last sample says nearly all of it."""
 
+_RATE = 1.0 / thresholds.FEWEST
+"""Rate of the medians, a factor of 2 in 4 samples: a start with another load is soon forgotten."""
+
 _SWINGING = 2.0 * thresholds.CLEAR
 """Λ from which it is in force, twice what decides between estimates whose noise is known: a swing
 has 90 to 110, noise of 5 % after a change up to 40."""
@@ -245,8 +248,8 @@ class IncrementalModel:
         if self._samples == 1:
             self._power, self._other = own, squared
         least = thresholds.NOISE_FLOOR / (_WALK * _WALK)
-        self._power = max(least, change.move_median(self._power, own, change.FAST_RATE))
-        self._other = max(least, change.move_median(self._other, squared, change.FAST_RATE))
+        self._power = max(least, change.move_median(self._power, own, _RATE))
+        self._other = max(least, change.move_median(self._other, squared, _RATE))
         self.in_force = self.lead > (0.0 if self.in_force else _SWINGING)
 
 

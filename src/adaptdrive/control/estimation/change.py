@@ -41,9 +41,8 @@ DRIFT = 3.0
 THRESHOLD = 2.0 * thresholds.RARE
 """One z² above 13, or several smaller ones in a row: as rare with noise alone as a disturbance."""
 
-FAST_RATE = 1.0 / thresholds.FEWEST
-"""Rate of the median after a start: a factor of 2 in 4 samples, and another load is soon
-forgotten."""
+_FAST_RATE = 0.3
+"""Rate of the median after a start: within a factor of 2 after about 3 samples."""
 
 _SLOW_RATE = 2.0 / thresholds.MEMORY
 """Rate of the median later: a factor of 2 takes 20 samples, longer than a comparison."""
@@ -110,7 +109,7 @@ class ChangeDetector:
         bend = slope - self._slope
         squared = bend * bend / 6.0  # a power would raise where it overflows
         self._last, self._slope = innovation, slope
-        rate = FAST_RATE if self.samples <= thresholds.WINDOW else _SLOW_RATE
+        rate = _FAST_RATE if self.samples <= thresholds.WINDOW else _SLOW_RATE
         self.noise = max(LEAST_NOISE, move_median(self.noise, squared, rate))
 
 
