@@ -6,8 +6,6 @@ _SET_BEFORE_USE = "every way into a state that reads it sets it first"
 
 _COMPARED = "numbers of stops are compared with each other, and never shown"
 
-_OVERWRITTEN = "each entry is set before it is read"
-
 _NOT_READ = "the entry beyond the last one is never read"
 
 _RETURNED = "a distance of 0 has returned before"
@@ -23,8 +21,6 @@ _BOUND = "a share of half cycles that equals the bound to the last digit may be 
 _BEYOND = "any number beyond 32,768 us, where the last bin begins"
 
 _SLACK = "a bridge whose grace ends at just the slack for rounding may be judged either way"
-
-_SMALL = "any divisor far below those of a load, which are above 1e-9, ends a division by nothing"
 
 _DOUBT_BOUND = "a deviation that equals the bound to the last digit may be judged either way"
 
@@ -115,20 +111,6 @@ MQTT: dict[str, str] = {
 }
 
 CONTROL: dict[str, str] = {
-    "control.estimation.covariance:: _TINY = 1e-12 -> _TINY = 2e-12": _SMALL,
-    "control.estimation.covariance:is_sure: return all((deviations[i] <= "
-    "thresholds.PRIOR_SHARE * abs(values[i]) for i in "
-    "range(len(values)))) -> return all((deviations[i] < "
-    "thresholds.PRIOR_SHARE * abs(values[i]) for i in "
-    "range(len(values))))": _DOUBT_BOUND,
-    "control.estimation.branch:likelihood: return -0.5 * (branch.logs + weight "
-    "* math.log(mean / weight)) -> "
-    "return -0.5 * (branch.logs + weight * math.log(mean * weight))": "each branch gets the same "
-    "in addition, and only their differences count",
-    "control.estimation.rls:given: gain, known, weights = ([0.0] * size, "
-    "list(upper), list(diagonal)) "
-    "-> gain, known, weights = ([1.0] * size, list(upper), list(diagonal))": _OVERWRITTEN,
-    "control.estimation.rls:bound: gain = [0.0] * size -> gain = [1.0] * size": _OVERWRITTEN,
     "control.controller:Controller.__init__: self._fast = fast.FastState(tick=0, "
     "boost_reference_V=0.0, error_sum=0.0) -> pass": _SET_BEFORE_USE,
     "control.controller:Controller.__init__: self._bank = self._new_bank("
@@ -136,8 +118,6 @@ CONTROL: dict[str, str] = {
     "settings.rates.nominal_tick_s, 0.0, 1.0)": _SET_BEFORE_USE,
     "control.controller:Controller._estimates: if math.isfinite(state.values[0]): -> "
     "if math.isfinite(state.values[1]):": "all values of an estimate are set together",
-    "control.estimation.regression:dc_gain: return above / below if abs(below) > _TINY else 0.0 -> "
-    "return above / below if abs(below) >= _TINY else 0.0": _SMALL,
     "control.estimation.regression:to_lambda: sign = -1.0 if (j - i) % 2 else 1.0 -> "
     "sign = -1.0 if (j + i) % 2 else 1.0": "sum and difference of two numbers are odd together",
     "control.estimation.filters:: _SERIES_TERMS = 40 -> "

@@ -281,7 +281,8 @@ def hold_back(
     excess = load_power_W / stage.load_power_max_W
     ceiling_V = state.ceiling_V + _CEILING_RISE * stage.boost_reference_max_V
     if excess > 1.0:
-        ceiling_V = abs(boost_voltage_V) / math.sqrt(excess)
+        lowest_V = stage.boost_reference_min_V  # of a voltage that is no number, too
+        ceiling_V = max(lowest_V, abs(boost_voltage_V) / math.sqrt(excess))
     state.ceiling_V = max(min(ceiling_V, highest_V), stage.boost_reference_min_V)
     return min(state.boost_reference_V, state.ceiling_V)
 

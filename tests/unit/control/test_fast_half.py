@@ -175,6 +175,15 @@ def test_too_much_power_holds_the_voltage_back_and_lets_it_rise_slowly() -> None
     assert fast.hold_back(at_just_its_power, STAGE, 310.0, STAGE.load_power_max_W) > 300.0
 
 
+@pytest.mark.parametrize("power_W", [2.0 * STAGE.load_power_max_W, math.inf])
+def test_too_much_power_at_a_voltage_that_is_no_number_leaves_the_lowest_V_c(
+    power_W: float,
+) -> None:
+    books = state(boost_reference_V=400.0)
+    assert fast.hold_back(books, STAGE, math.nan, power_W) == STAGE.boost_reference_min_V
+    assert fast.hold_back(books, STAGE, 300.0, 1000.0) < STAGE.boost_reference_min_V + 1.0
+
+
 @pytest.mark.parametrize(("limited", "followed"), [(0, True), (12, True), (13, False)])
 def test_a_tenth_of_a_period_at_a_limit_is_still_followed(limited: int, followed: bool) -> None:
     books = state()

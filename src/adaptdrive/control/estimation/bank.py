@@ -23,7 +23,7 @@ doi:10.1016/0005-1098(87)90087-2), and only changes from sample to sample teach 
 an estimate withstands any slow disturbance, and learns less from each sample than one whose bias
 rests. Which of the two describes the drive is seen from how well they predict:
 
-    Λ <- (1 - 1/60) Λ + l - l_w      l = 1/2 (ln s² + min(ε²/s², 12))
+    Λ <- (1 - 1/60) Λ + l - l_w      l = 1/2 (ln s² + min(ε²/s², 13))
 
 with s² = σ² (1 + rᵀPr/ρ) and σ² from the median of ε² ρ/(ρ + rᵀPr), so that a sudden change, which
 the bank deals with, counts little. A bias that rests pays the odds against each disturbance that
