@@ -65,7 +65,7 @@ class EstimatorSettings:
     """Settings of the estimation.
 
     Attributes:
-        method: Name of the estimation method (`methods.METHODS`).
+        method: Name of the estimation method (`direct.METHODS`).
         forgetting: ρ.
         tau_lambda_s: τ_λ.
         dead_band: No update while the output moves less than this between slow samples.
