@@ -23,6 +23,7 @@ from adaptdrive.control.design.pole_placement import Plant, discrete_model, refe
 from adaptdrive.control.design.reference import (
     condition_reference,
     filter_reference,
+    lead_reference,
     led_references,
     plan,
     reference_of,
@@ -56,17 +57,6 @@ def control_law(gains: Vector, inputs: Vector, outputs: Vector, reference: float
     for j in range(len(outputs)):
         result += gains[len(inputs) + j] * (reference - outputs[j])
     return result
-
-
-def lead_reference(reference: float, last_reference: float, lead: float) -> float:
-    """r'[k].
-
-    Args:
-        reference: r[k].
-        last_reference: r[k-1].
-        lead: d, delay of the loop in slow periods; 0 for none.
-    """
-    return reference + lead * (reference - last_reference)
 
 
 # The slow half of the controller: one call per slow period T_k.
@@ -278,11 +268,8 @@ def _act(
     sound = state.supervisor.trusted and state.watch.fallback == monitor.Fallback.NONE
     state.adaptive = sample.adaptive and sound and law is not None
     fixed = control_law(state.fixed_gains, inputs, outputs, reference)
-    filtered, quiet, other = (
-        filter_reference(state.reference_filter, reference, planned),
-        fixed,
-        fixed,
-    )
+    filtered = filter_reference(state.reference_filter, reference, planned)
+    quiet = other = fixed
     if law is not None:
         quiet = control_law(law.quiet_gains, inputs, outputs, filtered)
         filtered = reference_of(law.fast_loop, state.reference_filter.course)

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
 from adaptdrive.control.design.pole_placement import Plant, desired_polynomial
+from adaptdrive.control.design.reference import lead_reference
 from adaptdrive.control.loads.discretise import held_model
-from adaptdrive.control.slow import control_law, lead_reference
+from adaptdrive.control.slow import control_law
 from tests.unit.control.systems import (
     Array,
     System,

@@ -101,8 +101,7 @@ def slowed_loop(plant: Plant, kept: Vector, pole: float, slowness: float) -> Vec
     else:
         observer = OBSERVER_POLE * min(slowness, 1.0)
         moved = 1.0 - (1.0 - pole) * (1.0 - (1.0 - SLOWEST_SHARE) * max(slowness - 1.0, 0.0))
-    asked = multiply(kept, desired_polynomial(moved, 2 * plant.order + 1 - len(kept)))
-    return multiply(asked, desired_polynomial(observer, plant.free))
+    return multiply(plant.asked_beside(kept, moved), desired_polynomial(observer, plant.free))
 
 
 def noise_gain(plant: Plant, loop: Vector) -> float:

@@ -193,6 +193,8 @@ class Plant:
         self.order = len(a) - 1
         self.free = len(b) - len(a)
         self._solved: Vector = []
+        self._loop: Vector = []
+        self._placed: tuple[Vector, Vector] = [], []
 
     @property
     def gain(self) -> float:
@@ -201,7 +203,10 @@ class Plant:
 
     def asked(self, pole: float) -> Vector:
         """A_m: 2m equal poles, one of which gives way to a zero of the load that is cancelled."""
-        kept = kept_factor(self.b, pole)
+        return self.asked_beside(kept_factor(self.b, pole), pole)
+
+    def asked_beside(self, kept: Vector, pole: float) -> Vector:
+        """Return a factor of A_m that is not moved, [1.0] for none, times 2m poles in all."""
         return vectors.multiply(kept, desired_polynomial(pole, 2 * self.order + 1 - len(kept)))
 
     def place(self, loop: Vector) -> tuple[Vector, Vector]:
@@ -213,6 +218,11 @@ class Plant:
         Returns:
             R (first entry 1, R(1) = 0) and S; NaNs where A and B share a root.
         """
+        if loop != self._loop:  # gains, noise and margins of a loop ask for the same one
+            self._loop, self._placed = list(loop), self._solve(loop)
+        return self._placed
+
+    def _solve(self, loop: Vector) -> tuple[Vector, Vector]:
         integrating, count = vectors.multiply(self.a, [1.0, -1.0]), len(self.b) - 2
         size = count + len(self.a)
         if not self._solved:  # the same for every loop

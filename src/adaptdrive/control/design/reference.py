@@ -171,6 +171,17 @@ UNREST = 0.01
 """w: price of an addition to the input over that of the error that it makes in one period."""
 
 
+def lead_reference(reference: float, last_reference: float, lead: float) -> float:
+    """r'[k].
+
+    Args:
+        reference: r[k].
+        last_reference: r[k-1].
+        lead: d, delay of the loop in slow periods; 0 for none.
+    """
+    return reference + lead * (reference - last_reference)
+
+
 def led_references(reference: float, last: float, upcoming: Vector, lead: float) -> Vector:
     """Return r'[k] and those to come.
 
@@ -181,7 +192,7 @@ def led_references(reference: float, last: float, upcoming: Vector, lead: float)
         lead: d (`slow`).
     """
     known = [last, reference, *upcoming]
-    return [known[i] + lead * (known[i] - known[i - 1]) for i in range(1, len(known))]
+    return [lead_reference(known[i], known[i - 1], lead) for i in range(1, len(known))]
 
 
 def rest(state: ReferenceFilter) -> None:

@@ -89,7 +89,7 @@ class Bank:
         if detector.is_change(best.squared_error(rho), power):
             self._split(best, sample, power)
         for one in self.branches:
-            if one.excitation > learning.gate * (1.0 - rho):
+            if one.teaches(rho, learning.gate):
                 one.learn_sample(sample)
         another = self._choose()
         self._regression.fill_state(sample.regressor, sample.time_s - self.estimate.origin_s)

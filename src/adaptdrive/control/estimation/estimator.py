@@ -165,7 +165,7 @@ class Estimator:
     def learn_plainly(self) -> None:
         """Update θ and P by exponential forgetting (3), if the sample can teach anything."""
         own, sample, rho = self.estimate, self.sample, self.learning.forgetting
-        if own.excitation > self.learning.gate * (1.0 - rho):
+        if own.teaches(rho, self.learning.gate):
             own.update(sample.regressor, sample.target, rho)
             self.residuals.remember(own, rho)
 
@@ -205,7 +205,8 @@ class LambdaEstimator(Estimator):
         self.lost_periods = 0
         self._opened = Branch(regression)
         self._nominal = [0.0] * regression.size
-        vectors.copy_into(self._nominal, self._nominal_theta())
+        nominal = regression.theta_of(list(load.numerator), list(load.denominator))
+        vectors.copy_into(self._nominal, nominal)
         self.open_up()
         if not learning.initial_state:  # γ = 0 is known: the load is at rest
             for i in range(regression.first, regression.first + regression.states):
@@ -224,11 +225,6 @@ class LambdaEstimator(Estimator):
         """The estimate in force: the one whose bias rests, or the one whose bias walks."""
         return self.incremental.branch if self.incremental.in_force else self.bank.estimate
 
-    def _nominal_theta(self) -> Vector:
-        """Return α and β of the nominal model."""
-        load = self.load
-        return self.regression.theta_of(list(load.numerator), list(load.denominator))
-
     def begin_anew(self) -> None:
         """Start from the nominal model again: an estimate that no load can have has lost its way.
 
@@ -237,7 +233,7 @@ class LambdaEstimator(Estimator):
         """
         own = self.bank.estimate
         self.open_up()
-        vectors.copy_into(own.theta, self._nominal_theta())
+        vectors.copy_into(own.theta, self._nominal)
         own.origin_s, own.score = self.sample.time_s, 0.0
         self.bank.branches = [own]
         self.detector.sum = 0.0
@@ -294,7 +290,7 @@ class LambdaEstimator(Estimator):
             # what the one before could not explain is no noise
             usual = self.detector.noise_power(self.sample.rounding) * self.residuals.weight
             self.residuals.power = min(self.residuals.power, usual)
-        if own.excitation > learning.gate * (1.0 - rho):
+        if own.teaches(rho, learning.gate):
             self.residuals.remember(own, rho)
         self._count_unseen()
         self.show(self.in_force)

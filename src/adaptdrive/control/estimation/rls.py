@@ -69,6 +69,10 @@ class Estimate:
         """Return ε² of the last prediction less what the uncertainty of θ adds."""
         return normalised(self.innovation, self.excitation, forgetting)
 
+    def teaches(self, forgetting: float, gate: float) -> bool:
+        """Return whether the last predicted sample shows more than what is forgotten with it."""
+        return self.excitation > gate * (1.0 - forgetting)
+
     def widen(self, direction: Vector, variance: float) -> None:
         """P <- P + variance · v vᵀ, in factored form (Agee and Turner; Bierman 1977, III.3).
 
