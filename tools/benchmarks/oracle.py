@@ -50,6 +50,10 @@ class KnownLoad(LambdaEstimator):
         true = self.loads[min(max(k, 0), len(self.loads) - 1)]
         return list(true.numerator), list(true.denominator)
 
+    def root(self, values: Vector) -> Vector:
+        """Return zeros: the true load is known exactly."""
+        return [0.0] * (len(values) * len(values))
+
 
 def compare(campaign: Path, seed: int) -> Row:
     """Return costs over those of fixed control, of the estimate and of the known load.
