@@ -7,8 +7,9 @@ import math
 from collections.abc import Callable
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Snapshot
-from adaptdrive.devices.port import Listener, PortStatistics, Reading
+from adaptdrive.devices.port import Listener, PortStatistics
 from adaptdrive.runtime.reports import TickReport
+from adaptdrive.safety.facts import Reading
 
 
 class LoopbackPort:

@@ -26,11 +26,11 @@ from adaptdrive.control.signals import (
 )
 from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.safety.facts import Reading
 from tests.loopback_port import LoopbackPort, Quiet
 from tests.unit.devices.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, TIMING, Drive
 from tools.benchmarks.rows import Extent, Row, alternating, quantile

@@ -43,7 +43,7 @@ RUNTIME: dict[str, tuple[str, ...]] = {
         *_RATE,
         "tests/unit/runtime/test_fast_loop.py",
     ),
-    "adaptdrive.runtime.frame_rate": (*_RATE, "tests/unit/runtime/test_counter_watch.py"),
+    "adaptdrive.safety.frame_rate": (*_RATE, "tests/unit/runtime/test_counter_watch.py"),
     "adaptdrive.runtime.stopping": (
         *_STOP,
         "tests/unit/runtime/test_bridge_watch.py",

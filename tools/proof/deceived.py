@@ -20,11 +20,11 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Snapshot
-from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Request, SetSetpoint
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.safety.facts import Reading
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters

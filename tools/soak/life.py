@@ -9,7 +9,6 @@ from collections import Counter
 from pathlib import Path
 
 from adaptdrive.control.signals import Command, Mode, Shape, Waveform
-from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import LoadReport, State
 from adaptdrive.runtime.requests import (
     Disable,
@@ -22,6 +21,7 @@ from adaptdrive.runtime.requests import (
     SetVoltage,
     SetWaveform,
 )
+from adaptdrive.safety.facts import Reading
 from adaptdrive_sim.plants.motor import Motor
 from tests.integration.faults.by_hand import DaemonByHand
 from tests.integration.faults.course import Course, honest

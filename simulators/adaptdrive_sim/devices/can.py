@@ -26,6 +26,7 @@ from adaptdrive.devices.can.assembly import CommandFrame, StatusFrame
 from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.codec import MessageCodec, frame_key
 from adaptdrive.devices.can.layout import compile_field, counter_modulus
+from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.errors import BusError
 from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 
@@ -89,7 +90,7 @@ def load_messages(
         ConfigurationError: The database and the configuration do not fit together.
     """
     mapped = kind.mapped(configuration, source)
-    half_cycle_ms = 1e3 * configuration.timing.half_cycle_s
+    half_cycle_ms = 1e3 * timing_of(configuration).half_cycle_s
     found = [_status(one, bus, half_cycle_ms) for one in mapped.statuses]
     sent = [one for one in found if any(shown for _, shown in one.pages)]
     sent.sort(key=lambda one: (one.codec.name == bus.clock_message, one.codec.name))

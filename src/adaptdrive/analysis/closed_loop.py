@@ -20,6 +20,7 @@ from adaptdrive.control import signals
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.schedule import Schedule
 from adaptdrive.identification.excerpt import means_of
+from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.errors import IdentificationError
 
 # The daemon's controller in closed loop with a plant, in virtual time.
@@ -273,7 +274,7 @@ def simulated(
     Raises:
         IdentificationError: A set-point, or a value that the plant returns, is not finite.
     """
-    reading_s = configuration.timing.reading_s
+    reading_s = timing_of(configuration).reading_s
     pole = configuration.load.pole
 
     def order(number: int) -> signals.Order:

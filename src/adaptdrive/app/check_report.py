@@ -14,11 +14,11 @@ from adaptdrive.config.root import DriveSection
 from adaptdrive.control.signals import Command
 from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.devices.bus import Row
-from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.accounts import WINDOW_S
-from adaptdrive.runtime.capacitor import CapacitorBalance
-from adaptdrive.runtime.plausibility import ResponseLimits
 from adaptdrive.runtime.settings import MachineLimits
+from adaptdrive.safety.capacitor import CapacitorBalance
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.plausibility import ResponseLimits
 from adaptdrive.util.errors import ConfigurationError, escaped
 
 # Highest v_bst that a report which fails can lead to, as `adaptdrive check` states it.

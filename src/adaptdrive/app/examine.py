@@ -15,6 +15,7 @@ from adaptdrive.config.load import BathSection, BatterySection
 from adaptdrive.control.loads.load import to_input, to_voltage
 from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.devices.description import NO_DEMANDS, demands_of
+from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -310,7 +311,7 @@ def _pace(configuration: Configuration) -> Iterator[Flaw]:
     load = loads.build_load(configuration)
     mean_s = load.lag_s / load.order
     lambda_s, period_s = configuration.estimator.tau_lambda_s, configuration.load.period_s
-    least_s = _LEAST_READINGS * configuration.timing.reading_s
+    least_s = _LEAST_READINGS * timing_of(configuration).reading_s
     shortest_s, longest_s = mean_s / _MOST_PERIODS, mean_s / _LEAST_PERIODS
     for place, value_s, low_s, high_s in (
         ("estimator.tau_lambda_s", lambda_s, _LEAST_LAMBDA * mean_s, _MOST_LAMBDA * mean_s),

@@ -17,7 +17,7 @@ from adaptdrive.control.loads import bath, motor
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.load import Charging, Load, to_input
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.runtime import plausibility
+from adaptdrive.safety import plausibility
 
 MODEL_ERROR = 0.1
 """Error of each parameter that the fixed gains must stand: copper has 10 % more resistance when it

@@ -26,8 +26,10 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.polled import RtuLink
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode, Snapshot
-from adaptdrive.devices.port import Port, Reading
+from adaptdrive.devices.port import Port
 from adaptdrive.runtime import fast_loop, realtime, reports, requests, state_machine
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import AdaptdriveError
 
@@ -207,7 +209,7 @@ class WarmUp:
     def _read(self, output: float) -> None:
         """Run the tick of a reading with an output of the load."""
         drive, limits = self._configuration.drive, self._configuration.drive.limits
-        self._time_s += self._configuration.timing.reading_s
+        self._time_s += timing_of(self._configuration).reading_s
         reading = Reading(
             arrival_s=self._time_s,
             oldest_s=self._time_s,

@@ -24,8 +24,10 @@ from adaptdrive.control.settings import (
 )
 from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.mqtt.contract import Output, Profile
-from adaptdrive.runtime import frame_rate, plausibility
-from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings, Limits, MachineLimits
+from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings, MachineLimits
+from adaptdrive.safety import frame_rate, plausibility
+from adaptdrive.safety.interlocks import Limits
+from adaptdrive.safety.timing import timing_of
 
 # The interlocks that a configuration asks for: trip levels, and watches over the output.
 
@@ -276,7 +278,7 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         limits=trip_limits(configuration),
         watches=watches(configuration),
         drive=configuration.drive,
-        timing=configuration.timing,
+        timing=timing_of(configuration),
         charges_capacitor=configuration.voltage_loop.where == "daemon",
     )
 

@@ -18,8 +18,9 @@ from adaptdrive.app import examine, ports, process
 from adaptdrive.cli.options import Json
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import SAFE_COMMAND
-from adaptdrive.devices.port import Port, Reading
+from adaptdrive.devices.port import Port
 from adaptdrive.runtime.reports import SensorReport
+from adaptdrive.safety.facts import Reading
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import AdaptdriveError, first_error
 

@@ -23,6 +23,7 @@ from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.signals import Mode, Order, Stage
 from adaptdrive.identification import identify, identify_any, result
 from adaptdrive.identification.excerpt import Excerpt
+from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.errors import CommissionError
 
 # The load that an experiment shows.
@@ -218,7 +219,7 @@ def predict(
 
     after = max(_PERIODS_AFTER, math.ceil(_SETTLED / (1.0 - section.pole)))
     count = (_PERIODS_BEFORE + after) * samples
-    period_s = configuration.timing.reading_s
+    period_s = timing_of(configuration).reading_s
     limits = configuration.drive.limits
     factor = _POWER_SHARE * limits.load_power_max_W / limits.boost_reference_max_V**2
     power = np.array([factor, 0.0, 0.0])  # of v², v and v·y in the power of the load

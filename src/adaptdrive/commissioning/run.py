@@ -17,6 +17,7 @@ from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.config import root, services
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
 from adaptdrive.mqtt.client import LIVE_S, NoAnswerError
+from adaptdrive.safety.timing import timing_of
 from adaptdrive.tui.terminal import ended_once, print_line, whole
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
 
@@ -226,7 +227,7 @@ class _Rig:
 
     def __init__(self, plant: closed_loop.Plant, configuration: root.Configuration) -> None:
         self._plant = closed_loop.at_own_step(plant)
-        self._step_s = configuration.timing.reading_s
+        self._step_s = timing_of(configuration).reading_s
         self._count = max(1, round(_SAMPLE_S / self._step_s))
         self._share = -math.expm1(-self._step_s / _LAG_S)
         self._taken = 0

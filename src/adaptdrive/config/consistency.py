@@ -5,11 +5,14 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from graphlib import CycleError
 from operator import attrgetter
 
-from adaptdrive.config import references, root, section, timing
+from adaptdrive.config import references, root, section
 from adaptdrive.config.bus import MEASURED, WORDS, CanBus, CanOpenBus
 from adaptdrive.config.load import MotorSection
 from adaptdrive.config.polled import ModbusBus, ModbusLink, PolledBus, RtuLink
 from adaptdrive.util.errors import Flaw
+
+LATE_READINGS = 1.5
+"""Readings until one that is late has come: a stand-in tick is half a reading late."""
 
 
 def pace_flaws(whole: root.Configuration) -> Iterator[Flaw]:
@@ -20,7 +23,7 @@ def pace_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     """
     bus, stride = whole.bus, whole.bus.ticks_per_reading
     reading_s = stride * whole.drive.half_cycle_s
-    late_s = timing.LATE_READINGS * reading_s
+    late_s = LATE_READINGS * reading_s
     if isinstance(bus, PolledBus):
         reading = f"one poll of bus.poll_ticks = {stride} half cycles"
         poll = f"{reading} ({reading_s * 1e3:.4g} ms)"
@@ -30,7 +33,7 @@ def pace_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     else:
         reading = "a half cycle, from one SYNC to the next"
         yield from _heartbeat_flaws(bus, late_s)
-    latest = f"{late_s:.4g} s, {timing.LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
+    latest = f"{late_s:.4g} s, {LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
     stale_s = whole.interlocks.stale_s
     yield from section.misfit("interlocks.stale_s", stale_s, "at least", late_s, latest)
     if not isinstance(bus, CanOpenBus) and bus.command_timeout_s is not None:
@@ -47,7 +50,7 @@ def _heartbeat_flaws(bus: CanOpenBus, late_s: float) -> Iterator[Flaw]:
     """The heartbeat after a lost one, and after a command that is late, comes in time."""
     least_s = bus.heartbeat_s + max(bus.heartbeat_s, late_s)
     rule = f"at least 2 times bus.heartbeat_s = {bus.heartbeat_s}, "
-    rule += f"and {timing.LATE_READINGS} half cycles"
+    rule += f"and {LATE_READINGS} half cycles"
     why = f"{least_s:.4g} s, {rule} more than it: heartbeats come with commands"
     timeout_s = bus.heartbeat_timeout_s
     yield from section.misfit("bus.heartbeat_timeout_s", timeout_s, "at least", least_s, why)

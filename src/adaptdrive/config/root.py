@@ -10,7 +10,6 @@ from pydantic import Field
 from adaptdrive.config import polled, references, section, services
 from adaptdrive.config.bus import MEASURED, CanBus, CanDescription, CanOpenBus, Quantity, Signals
 from adaptdrive.config.load import AnyLoad, Estimator, SimulatorSection, Supervisor
-from adaptdrive.config.timing import Timing
 from adaptdrive.util.errors import Flaw
 from adaptdrive.util.quantity import BOOST_VOLTAGE, Given
 
@@ -317,18 +316,3 @@ class Configuration(section.Section):
     def ticks_per_period(self) -> int:
         """Q: fast ticks in one slow period."""
         return round(2 * self.drive.line_frequency_Hz * self.load.period_s)
-
-    @property
-    def timing(self) -> Timing:
-        """The times of the drive, of which each limit of its obedience is made."""
-        in_daemon = self.voltage_loop.where == "daemon"
-        voltage = ("boost_voltage_V",) if in_daemon else ()
-        return Timing(
-            half_cycle_s=self.drive.half_cycle_s,
-            stale_s=self.interlocks.stale_s,
-            ticks_per_reading=self.bus.ticks_per_reading,
-            start_s=self.interlocks.start_s,
-            stop_s=self.interlocks.stop_s,
-            command_timeout_s=self.bus.command_timeout_s,
-            voltage_parts=frozenset(needed_names(self.derived, voltage)),
-        )

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from adaptdrive.config import Configuration, bus
-from adaptdrive.config.timing import Timing
 from adaptdrive.devices import description
 from adaptdrive.devices.port import Port, PortStatistics, SensorPort
+from adaptdrive.safety.timing import Timing, timing_of
 from adaptdrive.util import clock, errors
 
 # The parts by which one kind of bus takes its place in the daemon.
@@ -91,7 +91,7 @@ def timeout_cautions(timing: Timing, key: str, slack_s: float = 0.0) -> Iterator
 
 def polled_cautions(configuration: Configuration) -> Iterator[errors.Flaw]:
     """Yield what the own time-out of a drive that is polled does not fit."""
-    return timeout_cautions(configuration.timing, "bus.poll_ticks")
+    return timeout_cautions(timing_of(configuration), "bus.poll_ticks")
 
 
 def tcp_locks(kind: str, host: str, port: int, rest: str = "") -> Iterator[str]:

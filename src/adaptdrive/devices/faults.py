@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import or_
 
+from adaptdrive.safety.interlocks import describe_fault
+
 # Keeps faults and warnings from the frames that show them until a reading has carried them.
 
 
@@ -127,17 +129,6 @@ class FaultLatch:
         """Faults that no reading has carried yet, as text."""
         word = self.word
         return describe_fault(word, self.name) if word else None
-
-
-def describe_fault(word: int, name: str) -> str:
-    """Return a fault in words.
-
-    Args:
-        word: The drive's fault word.
-        name: Its name, empty for none.
-    """
-    coded = f"word {word:#x}"
-    return f"drive fault: {name} ({coded})" if name else f"drive fault: {coded}"
 
 
 # Whether a drive has stopped, whether it obeys, and whether others command it.

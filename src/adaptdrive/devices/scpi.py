@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.config import Configuration, polled
-from adaptdrive.config.timing import Timing
 from adaptdrive.devices.bus import BusKind, bus_of, polled_cautions, tcp_locks
 from adaptdrive.devices.description import Source
 from adaptdrive.devices.polled import Port as PolledPort
 from adaptdrive.devices.polled import link, mapping
 from adaptdrive.devices.polled.registers import Block, Exchange, count, encode_count
+from adaptdrive.safety.timing import Timing, timing_of
 
 _COMPLETE = "*OPC?"
 """Question that a supply answers with 1 once all earlier commands are complete (IEEE 488.2)."""
@@ -191,7 +191,7 @@ def _build(
 ) -> Port:
     bus = bus_of(configuration, polled.ScpiBus)
     poll = mapping.map_drive(configuration, bus.as_registers(), source, passive=passive)
-    return Port(bus, poll, configuration.timing, clock)
+    return Port(bus, poll, timing_of(configuration), clock)
 
 
 def _lock_names(configuration: Configuration) -> Iterator[str]:

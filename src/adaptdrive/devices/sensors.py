@@ -16,6 +16,7 @@ from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.root import Derived, Rule, needed_names
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import port as ports
+from adaptdrive.safety.facts import Reading
 
 
 @dataclass(slots=True)
@@ -207,7 +208,7 @@ class SensoredPort:
         """Send one command to the drive now, the safe one once a sensor bus has failed."""
         return self._drive.send(SAFE_COMMAND if self._ends else command)
 
-    def on_reading(self, reading: ports.Reading) -> None:
+    def on_reading(self, reading: Reading) -> None:
         """Complete a reading of the drive and pass it on."""
         if self._listener is not None:
             self._listener.on_reading(self.completed(reading))
@@ -222,7 +223,7 @@ class SensoredPort:
         if self._listener is not None:
             self._listener.on_bus(up, detail)
 
-    def completed(self, reading: ports.Reading) -> ports.Reading:
+    def completed(self, reading: Reading) -> Reading:
         """Return a reading with the values of the sensors and those that are derived.
 
         Args:
@@ -238,7 +239,7 @@ class SensoredPort:
         found = {name: values.get(name, math.nan) for name in MEASURED}
         return replace(reading, other=values, voltage_s=self._voltage_s(reading), **found)
 
-    def _voltage_s(self, reading: ports.Reading) -> float | None:
+    def _voltage_s(self, reading: Reading) -> float | None:
         """Return when the oldest sensor value of which v_bst is made was taken."""
         times = [
             bus.taken_s[name]

@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 from adaptdrive.control.schedule import TwoRate
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.control.supervision.setpoints import Reach
-from adaptdrive.devices.port import LAST_STOP_GAP_S, LAST_STOPS, Port, Reading
+from adaptdrive.devices.port import LAST_STOP_GAP_S, LAST_STOPS, Port
 from adaptdrive.runtime import (
     accounts,
     fast_loop,
@@ -19,6 +19,7 @@ from adaptdrive.runtime import (
     tick_support,
 )
 from adaptdrive.runtime.settings import DaemonSettings
+from adaptdrive.safety.facts import Reading
 from adaptdrive.util.clock import TickTimer
 from adaptdrive.util.errors import RefusedError
 

@@ -12,13 +12,15 @@ import math
 from collections import deque
 from typing import Final
 
-from adaptdrive.config.timing import LATE_READINGS
+from adaptdrive.config.consistency import LATE_READINGS
 from adaptdrive.control import signals
 from adaptdrive.control.schedule import Schedule, TwoRate
-from adaptdrive.devices.port import Port, Reading, assuming
+from adaptdrive.devices.port import Port
 from adaptdrive.runtime import interlocks, reports, state_machine, stopping, timebase
-from adaptdrive.runtime.capacitor import CapacitorBalance
 from adaptdrive.runtime.settings import FastLoopSettings, LoopServices
+from adaptdrive.safety.capacitor import CapacitorBalance
+from adaptdrive.safety.facts import Reading, assuming
+from adaptdrive.safety.guard import Guard
 
 _OFF: Final[signals.Stage] = signals.Stage.OFF  # found at once by compiled code
 _PRECHARGE: Final[signals.Stage] = signals.Stage.PRECHARGE
@@ -107,7 +109,7 @@ class FastLoop:
         self._half_cycles = timebase.HalfCycles(
             port.counter_modulus, timing.half_cycle_s, self._stride, timing.stale_s
         )
-        self.guard = interlocks.Guard(settings.drive)
+        self.guard = Guard(settings.drive)
         highest_V = settings.limits.boost_voltage_max_V
         charges = settings.charges_capacitor
         self._capacitor = CapacitorBalance(settings.drive, highest_V) if charges else None

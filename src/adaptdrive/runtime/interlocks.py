@@ -5,101 +5,14 @@ Each check gives the cause of a trip in words, or None. A trip is latched by the
 """
 
 import math
-from collections.abc import Callable
 
-from adaptdrive.config.bus import MEASURED
-from adaptdrive.config.root import DriveSection
-from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.faults import describe_fault
-from adaptdrive.devices.port import Port, Reading
-from adaptdrive.runtime.frame_rate import verdict_ticks
-from adaptdrive.runtime.settings import FastLoopSettings, Limits
+from adaptdrive.devices.port import Port
+from adaptdrive.runtime.settings import FastLoopSettings
 from adaptdrive.runtime.stopping import BridgeWatch
 from adaptdrive.runtime.timebase import HalfCycles
-
-# Limits of one reading.
-
-
-def find_cause(
-    reading: Reading | None,
-    now_s: float,
-    limits: Limits,
-    stale_s: float,
-    explain_age: Callable[[], str] = str,
-) -> str | None:
-    """The first reason why the drive must not be energised, None when there is none.
-
-    Args:
-        reading: The latest reading, None before the first.
-        now_s: Monotonic time.
-        limits: Trip levels.
-        stale_s: Oldest usable measurement.
-        explain_age: Names the oldest value and why it is old; called for a stale reading alone.
-    """
-    if reading is None:
-        return f"stale: no measurement yet{_reason(explain_age())}"
-    age_s = now_s - reading.oldest_s
-    limit_s = stale_s + reading.slack_s
-    if not age_s <= limit_s:
-        return (
-            f"stale: measurement is {age_s * 1e3:.0f} ms old, limit {limit_s * 1e3:g} ms"
-            f"{_reason(explain_age())}"
-        )
-    return _unhealthy(reading, limits.absent) or _exceeded(reading, limits)
-
-
-def _reason(text: str) -> str:
-    return f"; {text}" if text else ""
-
-
-def _unhealthy(reading: Reading, absent: frozenset[str]) -> str | None:
-    name = _not_finite(reading, absent)
-    if name is not None:
-        return (
-            f"invalid: {name} = {getattr(reading, name)} is not a finite number: look at its "
-            "sensor, its scale and offset, and at [derived]"
-        )
-    if reading.fault:
-        return describe_fault(reading.fault, reading.fault_name)
-    return None
-
-
-def _exceeded(reading: Reading, limits: Limits) -> str | None:
-    if abs(reading.boost_voltage_V) > limits.boost_voltage_max_V:
-        given = limits.given
-        return (
-            f"{'over-voltage' if given.is_boost_voltage else 'drive above its limit'}: "
-            f"{given.name} = {given.text(reading.boost_voltage_V, '.1f')}, limit "
-            f"{given.text(limits.boost_voltage_max_V, 'g')}"
-        )
-    if reading.output > limits.output_max:
-        values = _compared(reading.output, limits.output_max, limits)
-        return f"output above its limit: {values}: look for a lost load, or at the sensor"
-    if reading.output < limits.output_min:
-        values = _compared(reading.output, limits.output_min, limits)
-        return f"output below its limit: {values}: is the sensor reversed, or its wire broken?"
-    return None
-
-
-def _compared(output: float, limit: float, limits: Limits) -> str:
-    unit = f" {limits.output_unit}" if limits.output_unit else ""
-    return f"{limits.output_name} = {output:.4g}{unit}, limit {limit:g}{unit}"
-
-
-def _not_finite(reading: Reading, absent: frozenset[str]) -> str | None:
-    """The name of the first measured quantity that is not a finite number."""
-    if (
-        math.isfinite(reading.boost_voltage_V)
-        and math.isfinite(reading.line_voltage_V)
-        and math.isfinite(reading.load_power_W)
-        and math.isfinite(reading.output)
-    ):
-        return None
-    odd = (name for name in MEASURED if not math.isfinite(getattr(reading, name)))
-    return next((name for name in odd if name not in absent), None)
-
-
-# All interlocks of one drive at a tick: the first cause counts.
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.frame_rate import verdict_ticks
+from adaptdrive.safety.interlocks import find_cause
 
 _PAUSE_READINGS = 3.0
 """Readings without an evaluation after which this process did not run: counts jump by as many."""
@@ -241,48 +154,3 @@ class InterlockBoard:
             else:
                 watch.forget()
         return cause
-
-
-# The last look at a command before the wire: finite, in range, not jumping.
-
-
-class Guard:
-    """Holds every command to its limits and counts what it had to change.
-
-    Attributes:
-        limited: Commands that were held to a limit.
-    """
-
-    def __init__(self, drive: DriveSection) -> None:
-        self._limits, self._given = drive.limits, drive.given
-        self._lowest_S = drive.current_scale_min_S
-        self._last_scale_S = 0.0
-        self.limited = 0
-
-    def check(self, command: Command) -> Command:
-        """Return the command to send: the given one wherever it is within limits.
-
-        Raises:
-            ValueError: A value is not finite.
-        """
-        scale_S, reference_V = command.current_scale_S, command.boost_reference_V
-        if not (math.isfinite(scale_S) and math.isfinite(reference_V)):
-            given = self._given
-            raise ValueError(
-                f"the controller gave k = {scale_S:g} S, {given.symbol} = "
-                f"{given.text(reference_V, 'g')}, which is not finite; keep the session "
-                "for a report, then reset"
-            )
-        if not (command.bridge or scale_S or reference_V):
-            self._last_scale_S = 0.0
-            return SAFE_COMMAND
-        limits, last_S = self._limits, self._last_scale_S
-        low_S = max(self._lowest_S, last_S - limits.current_scale_slew_S)
-        high_S = min(limits.current_scale_max_S, last_S + limits.current_scale_slew_S)
-        self._last_scale_S = min(max(scale_S, low_S), high_S)
-        lowest_V = min(limits.boost_reference_min_V, 0.0)
-        limited_V = min(max(reference_V, lowest_V), limits.boost_reference_max_V)
-        if self._last_scale_S == scale_S and limited_V == reference_V:
-            return command
-        self.limited += 1
-        return Command(self._last_scale_S, limited_V, command.bridge)

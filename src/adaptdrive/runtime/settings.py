@@ -8,12 +8,13 @@ from typing import Protocol
 from adaptdrive.config.load import LoadSection
 from adaptdrive.config.root import DriveSection
 from adaptdrive.config.services import Realtime
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
-from adaptdrive.runtime import plausibility, reports
+from adaptdrive.runtime import reports
+from adaptdrive.safety import plausibility
+from adaptdrive.safety.interlocks import Limits
+from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import RefusedError
-from adaptdrive.util.quantity import BOOST, Given
 
 # V_c as the operator sets it in mode `manual`: a ramp to the value asked for, and its expiry.
 
@@ -192,29 +193,6 @@ class MachineLimits:
 
 
 # Settings of the runtime of one drive, and the interface of its fast loop to the rest.
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Trip levels.
-
-    Attributes:
-        boost_voltage_max_V: Over-voltage.
-        output_max: Highest output.
-        output_unit: Unit of the output, for the text of the trip.
-        output_name: Name of the output, as above.
-        output_min: Lowest output.
-        absent: Quantities that nobody measures.
-        given: Name and unit of what the drive gives, for the text of the trip.
-    """
-
-    boost_voltage_max_V: float
-    output_max: float
-    output_unit: str
-    output_name: str = "output"
-    output_min: float = -math.inf
-    absent: frozenset[str] = frozenset()
-    given: Given = BOOST
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,11 +4,12 @@ import math
 from collections.abc import Callable
 from enum import Enum, auto
 
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Stage
-from adaptdrive.devices.port import Port, Reading
+from adaptdrive.devices.port import Port
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.timing import Timing
 
 # Notices a drive that has stopped by itself: it must not be driven on as if it had not.
 

@@ -14,7 +14,8 @@ from itertools import pairwise
 from typing import Self
 
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.port import Port, Reading
+from adaptdrive.devices.port import Port
+from adaptdrive.safety.facts import Reading
 from tests.unit.devices.bench import Ear, until
 
 CHARGE = Command(current_scale_S=0.0, boost_reference_V=250.0, bridge=False)

@@ -18,12 +18,12 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Command, Decision
-from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, State
 from adaptdrive.runtime.requests import Request
 from adaptdrive.runtime.tick_support import ServiceManager
+from adaptdrive.safety.facts import Reading
 from adaptdrive.util.errors import RefusedError
 from tests.loopback_port import LoopbackPort
 

@@ -18,9 +18,9 @@ from typing import Any
 from adaptdrive.config import load_configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, Reset, SetSetpoint
+from adaptdrive.safety.facts import Reading
 from adaptdrive_sim.device import DeviceSettings, build_drive
 from adaptdrive_sim.devices.drive import Frame
 from tests.integration.faults.by_hand import DaemonByHand

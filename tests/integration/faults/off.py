@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.port import Reading
+from adaptdrive.safety.facts import Reading
 
 BOOST_MAX_V = 430.0
 OUTPUT_MAX_V = 5.0

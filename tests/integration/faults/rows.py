@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.requests import Disable
+from adaptdrive.safety.facts import Reading
 from adaptdrive_sim.plants.bath import Bath
 from adaptdrive_sim.plants.battery import Battery
 from adaptdrive_sim.plants.motor import Motor

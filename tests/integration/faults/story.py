@@ -17,7 +17,6 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Command, Decision, Mode, Shape, Waveform
-from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import LoadReport
 from adaptdrive.runtime.requests import (
     Disable,
@@ -30,6 +29,7 @@ from adaptdrive.runtime.requests import (
     SetVoltage,
     SetWaveform,
 )
+from adaptdrive.safety.facts import Reading
 from tests.integration.faults.by_hand import DaemonByHand
 from tests.integration.faults.off import MustBeOff, OWN_TIMEOUT_s
 from tests.integration.wire.rig import EXAMPLES

@@ -8,9 +8,9 @@ import pytest
 
 from adaptdrive.app.check_report import highest_voltages
 from adaptdrive.config import load_configuration
-from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
+from adaptdrive.safety.facts import Reading
 from adaptdrive_sim.plants.boost import Sample
 from tests.integration.faults.course import Course, example, example_path
 from tests.support import sample

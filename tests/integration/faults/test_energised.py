@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis.stateful import run_state_machine_as_test
 
-from adaptdrive.config.timing import Timing
 from adaptdrive.runtime.interlocks import InterlockBoard
 from adaptdrive.runtime.stopping import BridgeWatch
+from adaptdrive.safety.timing import Timing
 from tests.integration.faults.story import HastyDriveStory, PatientStory, SlowDriveStory, Story
 
 STORIES = int(os.environ.get("STORIES", "8"))

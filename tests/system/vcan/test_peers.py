@@ -9,7 +9,7 @@ import pytest
 from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.can import port as can_port
-from adaptdrive.devices.port import Reading
+from adaptdrive.safety.facts import Reading
 from tests.system.vcan.peers import CanUtils
 from tests.unit.devices.bench import (
     Drive,

@@ -13,8 +13,8 @@ from adaptdrive.config.consistency import consistency_flaws
 from adaptdrive.config.root import DriveLimits
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Measurement, Mode, Order, Stage
-from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.interlocks import find_cause
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.interlocks import find_cause
 from tests.unit.config import documents
 from tests.unit.config.modbus_documents import flaws, parse
 

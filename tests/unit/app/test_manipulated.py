@@ -19,12 +19,13 @@ from adaptdrive.cli.display import describe
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command
 from adaptdrive.control.supervision.setpoints import Reach
-from adaptdrive.devices.port import Reading
 from adaptdrive.mqtt.client import DriveStatus
 from adaptdrive.mqtt.contract import remedy
 from adaptdrive.mqtt.service import discovery
 from adaptdrive.recording.tables import table_schema
-from adaptdrive.runtime.interlocks import Guard, find_cause
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.guard import Guard
+from adaptdrive.safety.interlocks import find_cause
 from adaptdrive.tui.record import WatchRecord
 from adaptdrive.tui.view import screen
 from adaptdrive.util.errors import RefusedError

@@ -10,9 +10,9 @@ from adaptdrive.app.check_report import tables
 from adaptdrive.app.loads import response_limits
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
-from adaptdrive.devices.port import Reading
 from adaptdrive.recording.replay import reconfigured
-from adaptdrive.runtime.plausibility import Response, ResponseLimits
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.plausibility import Response, ResponseLimits
 from tests.unit.devices.bench import EXAMPLES
 from tests.unit.runtime.bench import CALM
 

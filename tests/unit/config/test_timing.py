@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.config.timing import Timing
+from adaptdrive.safety.timing import Timing
 
 EACH = Timing(half_cycle_s=0.01, stale_s=0.05)
 POLLED = Timing(half_cycle_s=0.01, stale_s=0.35, ticks_per_reading=20)

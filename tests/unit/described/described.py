@@ -13,7 +13,8 @@ from adaptdrive.app.ports import build_port, build_sensor_port
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.port import Port, Reading
+from adaptdrive.devices.port import Port
+from adaptdrive.safety.facts import Reading
 from tests.unit.devices.bench import until
 
 DEVICES = Path(__file__).parents[3] / "deploy" / "devices"

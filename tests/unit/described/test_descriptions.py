@@ -14,6 +14,7 @@ from adaptdrive.cli import main
 from adaptdrive.config import load_configuration
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.polled import ModbusRtu
+from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.errors import ConfigurationError
 from tests.unit.described.described import DEVICES, NAMES
 
@@ -52,9 +53,9 @@ def test_a_serial_line_bears_a_busy_machine(name: str) -> None:
     """A machine that others use delays a process by 0.2 s (docs/own-drive.md)."""
     bus = (configuration := load_configuration(DEVICES / f"{name}.toml")).bus
     if isinstance(bus, ModbusRtu):
-        poll_s = configuration.timing.reading_s
+        poll_s = timing_of(configuration).reading_s
         assert bus.timeout_s >= min(0.2, 0.7 * poll_s)
-        assert configuration.timing.stale_s >= 0.999 * (1.5 * poll_s + 6.0 * bus.timeout_s)
+        assert timing_of(configuration).stale_s >= 0.999 * (1.5 * poll_s + 6.0 * bus.timeout_s)
 
 
 def test_an_unknown_device_is_refused() -> None:

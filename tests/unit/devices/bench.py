@@ -18,12 +18,13 @@ from crccheck.crc import Crc8SaeJ1850
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, Signals
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.bus import backoff_s
 from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.devices.port import Port, Reading
+from adaptdrive.devices.port import Port
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.timing import Timing
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 MOTOR = load_configuration(EXAMPLES / "motor.toml")

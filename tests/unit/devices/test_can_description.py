@@ -22,8 +22,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.bus import open_bus
-from adaptdrive.runtime.interlocks import find_cause
-from adaptdrive.runtime.settings import Limits
+from adaptdrive.safety.interlocks import Limits, find_cause
 from adaptdrive.util.errors import ConfigurationError
 from tests.unit.devices.bench import (
     EXAMPLES,

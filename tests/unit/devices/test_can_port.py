@@ -18,10 +18,9 @@ from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.faults import QUIET_S
-from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.interlocks import find_cause
-from adaptdrive.runtime.settings import Limits
 from adaptdrive.runtime.stopping import Stop, StopWatch
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.interlocks import Limits, find_cause
 from adaptdrive.util.errors import BusError
 from tests.unit.devices.bench import (
     STATUS,

@@ -12,12 +12,12 @@ import can
 import pytest
 
 from adaptdrive.config.bus import CanBus, Signals
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.assembly import CanMapping
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.mapping import map_drive
+from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import ConfigurationError
 from tests.unit.devices.bench import Clock, Ear, running, until
 

@@ -7,12 +7,12 @@ from collections import Counter
 
 import pytest
 
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.polled.commander import Commander
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
 from adaptdrive.devices.polled.registers import Exchange
 from adaptdrive.devices.polled.reports import PollHistory
+from adaptdrive.safety.timing import Timing
 from tests.unit.devices.modbus.bench import plan, reported
 
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.65, bridge=True)

@@ -17,9 +17,8 @@ from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.kind import build_can_sensors
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.interlocks import find_cause
-from adaptdrive.runtime.settings import Limits
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.interlocks import Limits, find_cause
 from tests.unit.devices.bench import (
     LOAD,
     PATIENCE_S,

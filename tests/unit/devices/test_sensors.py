@@ -15,13 +15,14 @@ from hypothesis import strategies as st
 from adaptdrive.app.ports import publish_samples
 from adaptdrive.config.root import Derived
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices.port import PortStatistics, Reading, SensorListener
+from adaptdrive.devices.port import PortStatistics, SensorListener
 from adaptdrive.devices.sensors import RULES, SensorBus, SensoredPort, derived_value
 from adaptdrive.runtime.accounts import sensor_report
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import SensorSample, State
 from adaptdrive.runtime.requests import Enable, Reset
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.safety.facts import Reading
 from adaptdrive.util.errors import RefusedError
 from tests.loopback_port import LoopbackPort
 from tests.unit.runtime.bench import CALM, FAST, SETTINGS, TICK_S, Around, MotorController

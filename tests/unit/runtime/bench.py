@@ -24,7 +24,6 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import Hub, State, TickReport
@@ -32,6 +31,7 @@ from adaptdrive.runtime.requests import Enable, Request
 from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.runtime.tick_support import ServiceManager
+from adaptdrive.safety.facts import Reading
 from tests.loopback_port import LoopbackPort
 
 MOTOR = load_configuration(Path(__file__).parents[3] / "deploy" / "examples" / "motor.toml")

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.config.timing import Timing
 from adaptdrive.runtime.stopping import BridgeWatch
+from adaptdrive.safety.timing import Timing
 from tests.unit.runtime.bench import CALM
 
 TICK_S = 2.0**-7

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.runtime.timebase import CounterWatch, HalfCycles
+from adaptdrive.runtime.timebase import HalfCycles
+from adaptdrive.safety.counter import CounterWatch
 
 TICK_S = 2.0**-7
 """A half cycle whose multiples are exact."""

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.config.root import DriveLimits, DriveSection
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.runtime.interlocks import Guard
+from adaptdrive.safety.guard import Guard
 
 ANY = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-1.0, 1.0)
 COMMANDS = st.builds(Command, ANY, ANY | st.floats(0.0, 500.0), st.booleans())

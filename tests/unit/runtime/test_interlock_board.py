@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from adaptdrive.config.timing import Timing
-from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.frame_rate import FrameRate
 from adaptdrive.runtime.interlocks import InterlockBoard
-from adaptdrive.runtime.settings import Limits
 from adaptdrive.runtime.timebase import HalfCycles
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.frame_rate import FrameRate
+from adaptdrive.safety.interlocks import Limits
+from adaptdrive.safety.timing import Timing
 from tests.loopback_port import LoopbackPort
 from tests.unit.runtime.bench import CALM, FAST
 

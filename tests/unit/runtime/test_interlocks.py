@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from adaptdrive.app.settings import daemon_settings
 from adaptdrive.config import load_configuration
-from adaptdrive.devices.port import Reading
-from adaptdrive.runtime.interlocks import find_cause
-from adaptdrive.runtime.settings import Limits
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.interlocks import Limits, find_cause
 from tests.unit.devices.bench import EXAMPLES
 from tests.unit.runtime.bench import CALM
 

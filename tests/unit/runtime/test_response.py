@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.app.loads import response_limits
 from adaptdrive.config import load_configuration
-from adaptdrive.runtime.plausibility import Response, ResponseLimits
+from adaptdrive.safety.plausibility import Response, ResponseLimits
 from tests.unit.devices.bench import EXAMPLES
 from tests.unit.runtime.bench import CALM
 

@@ -13,7 +13,7 @@ from scipy import signal
 
 from adaptdrive.app.loads import stillness_limits
 from adaptdrive.config import load_configuration
-from adaptdrive.runtime.plausibility import Stillness, StillnessLimits, StillnessWatch
+from adaptdrive.safety.plausibility import Stillness, StillnessLimits, StillnessWatch
 from tests.unit.devices.bench import EXAMPLES
 from tests.unit.runtime.bench import CALM
 

@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order, Stage
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
 from adaptdrive.runtime.stopping import Stop, StopWatch
+from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import RefusedError
 from tests.unit.runtime.bench import (
     CALM,

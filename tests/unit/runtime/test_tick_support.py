@@ -14,9 +14,9 @@ from adaptdrive.app.ports import build_port
 from adaptdrive.app.process import WarmUp
 from adaptdrive.config import load_configuration
 from adaptdrive.config.services import Realtime
-from adaptdrive.devices.port import Reading
 from adaptdrive.runtime.realtime import real_time
 from adaptdrive.runtime.tick_support import COLLECT_TICKS, IdleCollector, LatencyDetector
+from adaptdrive.safety.facts import Reading
 from tests.loopback_port import LoopbackPort
 from tests.unit.devices.bench import EXAMPLES
 from tests.unit.runtime.bench import CALM, TICK_S, FastBench, fast_bench

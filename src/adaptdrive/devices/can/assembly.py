@@ -5,7 +5,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import description, port
 from adaptdrive.devices.binding import BRIDGE
@@ -13,6 +12,8 @@ from adaptdrive.devices.can import database
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.devices.faults import FaultWord
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import Flaw
 
 # What the messages of a drive carry.
@@ -194,7 +195,7 @@ class StatusAssembly:
         else:
             self.stop_seen = self._come_on and not on
 
-    def carry(self, reading: port.Reading) -> None:
+    def carry(self, reading: Reading) -> None:
         """Note a reading that is handed out; a stop seen after it was composed stays.
 
         Args:
@@ -206,7 +207,7 @@ class StatusAssembly:
         self._carried_on = reading.bridge and self.bridge_slack_s is not None
         self._come_on = self.newest.powered
 
-    def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> port.Reading | None:
+    def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> Reading | None:
         """Return the newest values and each fault since the last reading; None before all came.
 
         A drive that came on by command and stopped between two readings has one with its bridge on

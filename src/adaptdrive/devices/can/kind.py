@@ -20,13 +20,13 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config import Configuration, section
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.root import CanSensorSection as Config
-from adaptdrive.config.timing import Timing
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, CountingPort, Row, bus_of, timeout_cautions
 from adaptdrive.devices.can import assembly, codec, connection, integrity, mapping, port
 from adaptdrive.devices.can.bus import requests
 from adaptdrive.devices.can.database import Located, open_catalogue
 from adaptdrive.devices.port import SensorListener
+from adaptdrive.safety.timing import Timing, timing_of
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 _Source = description.Source[Located]
@@ -224,7 +224,7 @@ def mapped(
 ) -> assembly.CanMapping:
     """Return the messages of a drive, held against what its limits ask."""
     bus, demands = bus_of(configuration, CanBus), description.demands_of(configuration)
-    return mapping.map_drive(bus, configuration.signals, configuration.timing, source, demands)
+    return mapping.map_drive(bus, configuration.signals, timing_of(configuration), source, demands)
 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:
@@ -238,7 +238,7 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, and what may hide the bridge."""
-    timing, found = configuration.timing, mapped(configuration)
+    timing, found = timing_of(configuration), mapped(configuration)
     sources = [(status.codec.name, one) for status in found.statuses for one in status.sources]
     slack_s = min(one.slack_s for _, one in sources)
     yield from timeout_cautions(timing, "bus.clock_ticks", slack_s)

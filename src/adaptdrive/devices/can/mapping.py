@@ -20,10 +20,10 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config import root
 from adaptdrive.config.bus import CanBus, CanDescription, FrameIntegrity, Signals
-from adaptdrive.config.timing import Timing
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.can import assembly, database, layout
 from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import ConfigurationError, nearest
 
 LONGEST_STALE_S = 10.0

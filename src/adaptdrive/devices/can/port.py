@@ -18,7 +18,6 @@ from typing import Any, Final
 import can
 
 from adaptdrive.config.bus import CanBus
-from adaptdrive.config.timing import OBEY_S
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import bus, port
 from adaptdrive.devices.can import assembly, connection, integrity
@@ -26,6 +25,8 @@ from adaptdrive.devices.can.assembly import CanMapping, CommandFrame, StatusFram
 from adaptdrive.devices.can.bus import requests
 from adaptdrive.devices.can.codec import frame_key
 from adaptdrive.devices.faults import LEAPT, Obedience, OtherSender, Relink
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.timing import OBEY_S
 
 _ASK_AGAIN_S = 1.0
 """Silence of the clock of a drive that is off after which its set-up is sent again: it may have
@@ -92,7 +93,7 @@ class Port:
         self._sent_s: dict[int, float] = {}
         self._relink = Relink()
         self._leapt_s = self._asked_s = -math.inf
-        self._newest: port.Reading | None = None
+        self._newest: Reading | None = None
 
     @property
     def statistics(self) -> port.PortStatistics:

@@ -24,6 +24,7 @@ from adaptdrive.devices.can import connection, integrity
 from adaptdrive.devices.can.bus import describe_bus
 from adaptdrive.devices.canopen import dictionary, profile, sdo
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo
+from adaptdrive.safety.facts import Reading
 from adaptdrive.util.errors import BusError
 
 # The drive's status PDOs as readings: the set after one SYNC, and the newest of several sets.
@@ -63,7 +64,7 @@ class Reports:
         self._sampled_s: float | None = None
         self._repeated = ""
         self._refused = 0
-        self._newest: port.Reading | None = None
+        self._newest: Reading | None = None
 
     @property
     def missing(self) -> list[str]:
@@ -113,7 +114,7 @@ class Reports:
             self._refused, self._repeated = 0, ""
         return True
 
-    def hand_out(self) -> port.Reading | None:
+    def hand_out(self) -> Reading | None:
         """Return the newest reading once, None where none has come since the one before."""
         reading, self._newest = self._newest, None
         if reading is not None:

@@ -17,13 +17,13 @@ import can
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanOpenBus
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import binding, description, faults
 from adaptdrive.devices.bus import BusKind, Row, bus_of, stale_limits
 from adaptdrive.devices.can.integrity import PROMPT_S
 from adaptdrive.devices.canopen import node, profile, sdo
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
+from adaptdrive.safety.timing import Timing, timing_of
 from adaptdrive.util.clock import pulsing
 from adaptdrive.util.errors import BusError, Flaw
 
@@ -364,7 +364,7 @@ def _build(
     bus, mapping = bus_of(configuration, CanOpenBus), mapped(configuration, source)
     if passive:
         return CanOpenWatch(bus, mapping, clock)
-    return Port(bus, mapping, configuration.timing, clock)
+    return Port(bus, mapping, timing_of(configuration), clock)
 
 
 def mapped(configuration: Configuration, source: Path | str = "configuration") -> CanOpenMapping:

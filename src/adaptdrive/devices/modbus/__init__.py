@@ -19,7 +19,7 @@ from pathlib import Path
 
 from adaptdrive.config import Configuration, polled, root
 from adaptdrive.config.bus import Signals
-from adaptdrive.config.timing import LATE_READINGS, Timing
+from adaptdrive.config.consistency import LATE_READINGS
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, polled_cautions, tcp_locks
 from adaptdrive.devices.description import Source
@@ -30,6 +30,7 @@ from adaptdrive.devices.polled import mapping
 from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Polling
 from adaptdrive.devices.polled.registers import Exchange, cycle_flaws, plan_blocks
 from adaptdrive.devices.port import SensorListener
+from adaptdrive.safety.timing import Timing, timing_of
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Sensors on a Modbus link: modules that are polled in a cycle of their own.
@@ -240,13 +241,13 @@ def _build(
 ) -> Port:
     bus = _bus(configuration)
     poll = mapping.map_drive(configuration, bus, source, passive=passive)
-    return Port(bus, poll, configuration.timing, clock)
+    return Port(bus, poll, timing_of(configuration), clock)
 
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what time-outs and lost replies do not fit, and a report that may be an echo."""
     yield from polled_cautions(configuration)
-    yield from _loss_cautions(_bus(configuration), configuration.timing)
+    yield from _loss_cautions(_bus(configuration), timing_of(configuration))
     yield from _echo_cautions(_bus(configuration), configuration.signals)
 
 

@@ -10,7 +10,6 @@ import contextlib
 from collections.abc import Callable
 
 from adaptdrive.config.polled import ModbusBus
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.bus import pulse_reset
 from adaptdrive.devices.polled import commander, reports
@@ -18,6 +17,7 @@ from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, Polled
 from adaptdrive.devices.polled.mapping import Named, Poll, explain, written
 from adaptdrive.devices.polled.registers import Block, Exchange
 from adaptdrive.devices.port import Listener
+from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import BusError
 
 _MIXED_UP = (

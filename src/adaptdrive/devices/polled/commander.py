@@ -5,13 +5,13 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 
 from adaptdrive.config.references import DAY_S
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import binding, description, faults
 from adaptdrive.devices.polled import reports
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, block_words
 from adaptdrive.devices.polled.registers import Block, Exchange
+from adaptdrive.safety.timing import Timing
 
 
 class WritePace:

@@ -17,6 +17,7 @@ from adaptdrive.devices.description import Sink, Source
 from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.field import Field
 from adaptdrive.devices.polled import registers
+from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 HEARTBEAT = "bus.heartbeat"
@@ -229,7 +230,7 @@ def map_drive(
     )
     flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
     if not flaws:
-        half_cycle_s = configuration.timing.half_cycle_s
+        half_cycle_s = timing_of(configuration).half_cycle_s
         wanted = (bus.poll_ticks * half_cycle_s, "bus.poll_ticks", half_cycle_s)
         flaws += registers.cycle_flaws(bus, [*poll.exchanges()], *wanted)
     if flaws:

@@ -4,13 +4,14 @@ import math
 from collections.abc import Callable, Sequence
 
 from adaptdrive.config.polled import Heartbeat
-from adaptdrive.config.timing import Timing
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import binding, faults, port
 from adaptdrive.devices.description import Source
 from adaptdrive.devices.polled.link import ExchangeError
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, explain, value_in
 from adaptdrive.devices.polled.registers import Block
+from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.timing import Timing
 
 # Reports of a drive that is polled, and the judgement whether what energises may follow them.
 
@@ -305,9 +306,7 @@ class PollAssembly:
             return None if self._poll.bridge_block else sent
         return reported != 0.0
 
-    def reading(
-        self, arrival_s: float, start_s: float, *, bridge_sent: bool
-    ) -> port.Reading | None:
+    def reading(self, arrival_s: float, start_s: float, *, bridge_sent: bool) -> Reading | None:
         """Return the reading that a poll makes, None before every value has been good once.
 
         Args:

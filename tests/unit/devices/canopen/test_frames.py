@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.devices.canopen import port as canopen_port
 from adaptdrive.devices.canopen.mapping import map_drive
+from adaptdrive.safety.timing import timing_of
 from tests.unit.devices.bench import Clock
 from tests.unit.devices.canopen.bench import RUN, Ear
 from tests.unit.devices.canopen.documents import bus_of, parse
@@ -31,7 +32,7 @@ def ready_port() -> tuple[canopen_port.Port, Ear]:
     configuration = parse({"bus/interface": "virtual"})
     bus = bus_of(configuration)
     port = canopen_port.Port(
-        bus, map_drive(bus, configuration.signals), configuration.timing, Clock()
+        bus, map_drive(bus, configuration.signals), timing_of(configuration), Clock()
     )
     ear = Ear()
     port._connection.listener = ear

@@ -8,13 +8,13 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.app.settings import daemon_settings
-from adaptdrive.config.timing import Timing
 from adaptdrive.devices.canopen.profile import (
     DISABLE_VOLTAGE,
     ENABLE_OPERATION,
     SWITCH_ON,
     DriveControl,
 )
+from adaptdrive.safety.timing import Timing
 from tests.unit.devices.bench import until
 from tests.unit.devices.canopen.bench import CHARGE, RUN, running
 from tests.unit.devices.canopen.documents import bus_of, flaws, parse

@@ -18,7 +18,7 @@ from adaptdrive.config.polled import ModbusRtu, ModbusTcp
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import modbus
 from adaptdrive.devices.polled.mapping import Poll, map_drive
-from adaptdrive.devices.port import Reading
+from adaptdrive.safety.facts import Reading
 from tests.unit.config.modbus_documents import parse
 from tests.unit.devices import memory
 from tests.unit.devices.bench import Ear, until

@@ -17,8 +17,7 @@ import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.mqtt.contract import remedy
-from adaptdrive.runtime.interlocks import find_cause
-from adaptdrive.runtime.settings import Limits
+from adaptdrive.safety.interlocks import Limits, find_cause
 from tests.unit.devices import memory
 from tests.unit.devices.bench import until
 from tests.unit.devices.modbus.bench import (

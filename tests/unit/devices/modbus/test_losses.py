@@ -17,7 +17,7 @@ import pytest
 from adaptdrive.config.root import ModbusRtuSensors
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.modbus import build_modbus_sensors
-from adaptdrive.devices.port import Reading
+from adaptdrive.safety.facts import Reading
 from tests.unit.devices.modbus.bench import (
     FUNCTION_23,
     Bench,

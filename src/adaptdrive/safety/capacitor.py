@@ -27,7 +27,7 @@ from typing import Final
 
 from adaptdrive.config.root import DriveSection
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.port import Reading
+from adaptdrive.safety.facts import Reading
 
 _LOST_SHARE: Final = 0.05
 """Share of the commanded power that a drive may lose without being asked."""

@@ -6,11 +6,11 @@
 import math
 from dataclasses import dataclass
 
+from adaptdrive.config.consistency import LATE_READINGS
+from adaptdrive.config.root import Configuration, needed_names
+
 START_TICKS = 30
 """Half cycles to switch on where `interlocks.start_s` is left out: 0.25 s on a 60 Hz line."""
-
-LATE_READINGS = 1.5
-"""Readings until one that is late has come: a stand-in tick is half a reading late."""
 
 _LOST_READINGS = 2.0
 """Readings until the next one has come where one was lost."""
@@ -200,3 +200,22 @@ class Timing:
     @staticmethod
     def _silence_s(cycle_s: float) -> float:
         return max(_SHORTEST_TIMEOUT_S, _SILENT_READINGS * cycle_s)
+
+
+def timing_of(configuration: Configuration) -> Timing:
+    """Return the times of a drive, of which each limit of its obedience is made.
+
+    Args:
+        configuration: Its configuration.
+    """
+    in_daemon = configuration.voltage_loop.where == "daemon"
+    voltage = ("boost_voltage_V",) if in_daemon else ()
+    return Timing(
+        half_cycle_s=configuration.drive.half_cycle_s,
+        stale_s=configuration.interlocks.stale_s,
+        ticks_per_reading=configuration.bus.ticks_per_reading,
+        start_s=configuration.interlocks.start_s,
+        stop_s=configuration.interlocks.stop_s,
+        command_timeout_s=configuration.bus.command_timeout_s,
+        voltage_parts=frozenset(needed_names(configuration.derived, voltage)),
+    )

@@ -36,7 +36,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from adaptdrive.control.loads.load import to_input
-from adaptdrive.devices.port import Reading
+from adaptdrive.safety.facts import Reading
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,1 @@
+"""Whether a drive may be driven: facts of its port, interlocks, trips and the last look."""
