@@ -10,6 +10,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Snapshot
 from adaptdrive.devices.port import Listener, PortStatistics
 from adaptdrive.runtime.reports import TickReport
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.trips import Trip
 
 
 class LoopbackPort:
@@ -37,7 +38,7 @@ class LoopbackPort:
         self.counter_modulus = counter_modulus
         self._commanded = commanded
         self._listener: Listener | None = None
-        self.trip_cause: str | None = None
+        self.trip_cause: Trip | None = None
         self.safe_s = math.inf
         self.stop_slack_s: float | None = 0.0
         self.bridge_cycle_s = 0.0
@@ -83,9 +84,8 @@ class LoopbackPort:
     def catch_up(self) -> None:
         """What is delivered is handed over at once."""
 
-    def explain_age(self) -> str:
+    def explain_age(self) -> None:
         """Name nothing: the readings come from outside, whole."""
-        return ""
 
     def details(self) -> list[str]:
         """Nothing is refused."""
@@ -139,7 +139,7 @@ class Quiet:
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
         """Nobody is told."""
 
-    def not_stopped(self, detail: str) -> None:
+    def not_stopped(self, problem: Trip) -> None:
         """Nobody listens."""
 
     def run_ended(self) -> None:

@@ -21,6 +21,8 @@ from typing import Any, Protocol
 
 import pytest
 
+from adaptdrive.safety.trips import Trip, TripKind
+
 Process = subprocess.Popen[bytes]
 
 
@@ -247,3 +249,13 @@ def acting(number: signal.Signals) -> Iterator[None]:
         yield
     finally:
         signal.signal(number, before)
+
+
+def a_trip(text: str, kind: TripKind = TripKind.INTERNAL_ERROR) -> Trip:
+    """Return a trip of which the text alone matters."""
+    return Trip(kind, text)
+
+
+def text_of(trip: Trip | None) -> str | None:
+    """Return the text of a trip, None of none."""
+    return None if trip is None else trip.text

@@ -16,6 +16,7 @@ from adaptdrive.control import schedule, signals
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.runtime import reports, requests, state_machine
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.course import PERIODS, Course, Run
 from adaptdrive_sim.plants.boost import Sample
@@ -218,7 +219,7 @@ class OperatedDrive(Site):
         began_s, setpoint = self.time_s, 0.0
         while (time_s := self.time_s - began_s) < duration_s and not self.completed:
             if self.machine.trip is not None:
-                run.trip = self.machine.trip
+                run.trip = self.machine.trip.text
                 break
             if setpoint_at(time_s) != setpoint:
                 setpoint = setpoint_at(time_s)
@@ -278,7 +279,7 @@ class OperatedDrive(Site):
         """Trip or stop where a decision demands it, and take over what V_c can hold."""
         self.machine.reach = Reach(decision.reach_low, decision.reach_high)
         if decision.fault:
-            self.machine.latch(decision.fault)
+            self.machine.latch(Trip(TripKind(decision.fault_kind), decision.fault))
         elif decision.complete:
             self.completed = True
             self.carry_out(requests.Disable())

@@ -173,7 +173,8 @@ class Drive:
     """A running drive, commanded over MQTT.
 
     Each command waits for the reply of the drive and raises `RefusedError` when it is refused,
-    `NoAnswerError` when there is none.
+    `NoAnswerError` when there is none. `kind` of a `RefusedError` is the kind of the trip for which
+    the drive refuses, such as `over-voltage`, and empty for any other reason.
     """
 
     def __init__(self, name: str, broker: Mqtt | None = None, timeout_s: float = 5.0) -> None:
@@ -259,5 +260,5 @@ class Drive:
         sending = send_command(self._broker, self._name, verb, value, self._timeout_s, **fields)
         reply = await sending
         if not reply.accepted:
-            raise RefusedError(reply.reason)
+            raise RefusedError(reply.reason, reply.trip_kind or "")
         return reply

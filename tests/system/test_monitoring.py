@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from tests.support import Broker, start_process, stop_process
-from tests.unit.deploy.test_monitoring import EXPORTER
-from tests.unit.mqtt.peers import PATIENCE_S, drive_report, load_report, serving
+from tests.unit.deploy.test_monitoring import EXPORTER, trip_numbers
+from tests.unit.mqtt.peers import OVER_VOLTAGE, PATIENCE_S, drive_report, load_report, serving
 
 
 def scraped(port: int) -> str:
@@ -41,6 +41,7 @@ async def test_debians_exporter_shows_a_drive_to_prometheus(
     try:
         async with serving(mosquitto, "scraped", tmp_path) as bench, asyncio.timeout(PATIENCE_S):
             page = ""
+            bench.host.trip(OVER_VOLTAGE)
             while not re.search(r"^adaptdrive_missed_total\{.*\} 1\b", page, re.MULTILINE):
                 bench.hub.publish(load_report(7))
                 bench.hub.publish(drive_report(840))
@@ -53,3 +54,4 @@ async def test_debians_exporter_shows_a_drive_to_prometheus(
     assert float(values["adaptdrive_boost_volts"]) == 300.5
     assert float(values["adaptdrive_lateness_p99_microseconds"]) == 20.0
     assert float(values["adaptdrive_boost_reference_volts"]) == 302.0
+    assert float(values["adaptdrive_trip_kind"]) == trip_numbers()["over-voltage"]

@@ -19,6 +19,7 @@ from adaptdrive.control.signals import Estimate, Measurement
 from adaptdrive.mqtt.commands import FORMS
 from adaptdrive.mqtt.contract import (
     DISTURB,
+    NO_TRIP,
     REPLY,
     SIMULATED,
     TRUTH,
@@ -166,7 +167,8 @@ def _drive() -> type:
     measured = [_column(one) for one in columns_of(Measurement) if one.name in MEASURED]
     sensor = _message("SensorMessage", "A sensor bus.", _members(SensorReport, "name"))
     sensors = ("sensors", Annotated[dict[str, sensor], _meaning("sensor buses by name")])  # type: ignore[valid-type]
-    members = (_TIME, *measured, *_members(DriveReport, *left_out), sensors, *_NAMED)
+    kind = ("trip_kind", Annotated[str, _meaning(f"kind of the latched trip, or `{NO_TRIP}`")])
+    members = (_TIME, *measured, *_members(DriveReport, *left_out), sensors, kind, *_NAMED)
     return _message("DriveMessage", "The fast loop since the last message.", members)
 
 

@@ -1,38 +1,35 @@
-"""The table of the trips in `docs/operation.md`, made from the registry of `runtime/trips.toml`.
+"""The table of the trips in `docs/operation.md`, made from `safety/trips.toml`.
 
 `python -m tools.pages.trips_table docs/operation.md` writes the table; a test keeps it current.
 """
 
-import re
 import sys
 from pathlib import Path
 
-from adaptdrive.mqtt.contract import TRIPS
+from adaptdrive.safety.trips import advices
 
 BEGIN, END = "<!-- trips: written by `make docs` -->\n", "<!-- end of trips -->\n"
-
 
 LONGEST = 10
 """Words of a trip that the table shows, from its beginning."""
 
+_AGE = "measurement is 54 ms old, limit 50 ms; "
+_OLDEST = "output (0x101 (DriveLoad), Tachometer) is the oldest value, 54 ms old: "
+
 
 def shown(example: str) -> str:
-    """Return the beginning of a trip that tells it from others."""
-    text = re.sub(r"^stale: measurement is .*?(; the polls|54 ms old: )", _part, example)
-    words = text.split()
-    return text if len(words) <= LONGEST else f"{' '.join(words[:LONGEST])} …"
-
-
-def _part(found: re.Match[str]) -> str:
-    return f"stale: …{found[1].removeprefix('54 ms old')}"
+    """Return the beginning of a trip, without what all that are stale have in common."""
+    words = example.replace(_AGE + _OLDEST, "…: ").replace(f"{_AGE}the", "…; the").split()
+    return " ".join(words if len(words) <= LONGEST else [*words[:LONGEST], "…"])
 
 
 def table() -> str:
     """Return the table as Markdown."""
     rows = [
-        f"| `{shown(trip['example'])}` | {trip['cause']} | {trip['remedy']} |" for trip in TRIPS
+        f"| `{kind}` | `{shown(one.example)}` | {one.cause} | {one.remedy} |"
+        for kind, one in advices().items()
     ]
-    return "\n".join(["| trip | cause | remedy |", "|---|---|---|", *rows, ""])
+    return "\n".join(["| kind | text | cause | remedy |", "|---|---|---|---|", *rows, ""])
 
 
 def with_table(page: str) -> str:

@@ -25,6 +25,7 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Request, SetSetpoint
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import RefusedError
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
@@ -129,7 +130,7 @@ class Deceived(Quiet):
 
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
         if decision.fault:
-            self.machine.latch(decision.fault)
+            self.machine.latch(Trip(TripKind(decision.fault_kind), decision.fault))
         elif decision.complete:
             self.completed = True
             self.ask(Disable())
@@ -207,7 +208,7 @@ def honest(job: tuple[str, int]) -> str:
             drive.ask(SetSetpoint(draw.uniform(low, high)))
         for _ in range(2):
             if not drive.run(draw.uniform(0.02, 0.15) * DURATIONS_s[name]):
-                return drive.machine.trip or ""
+                return "" if drive.machine.trip is None else drive.machine.trip.text
             disturb(drive.world, draw)
     return ""
 

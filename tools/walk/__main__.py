@@ -1,10 +1,11 @@
 """Which files does one sample pass? `python -m tools.walk [--files]`.
 
-The daemon of the motor example runs in front of a simulated drive, in virtual time. Four walks are
+The daemon of the motor example runs in front of a simulated drive, in virtual time. Five walks are
 traced through the running program: one tick from the frames of the drive to the command, one
 ordinary slow period, one set-point from the message of the broker to the reply, and one estimate
-from the decision to the table of its session. For each one the calls, the functions and the files
-of the product are counted, and how often the walk returns to a file that it had left.
+from the decision to the table of its session, and one from a bit of the drive's fault word to the
+latched trip. For each one the calls, the functions and the files of the product are counted, and
+how often the walk returns to a file that it had left.
 
 The broker of the third walk is in memory, without the client of the MQTT library. The fourth takes
 the ticks of the same 0.25 s with it, and ends in the archiver, which is another process in the
@@ -48,6 +49,7 @@ from tests.virtual_time import virtual_time
 SOURCE = str(Path(__file__).parents[2] / "src" / "adaptdrive") + "/"
 SETTLED_S = 60.0
 EPOCH_S = 1.8e9
+_LATCH = "runtime/state_machine.py", "Machine.latch"
 
 
 @dataclass
@@ -125,6 +127,7 @@ async def follow(folder: Path) -> dict[str, Walk]:
                 "slow period": _median(settled),
                 "set-point": _median(await _setpoints(wire)),
                 "estimate to disk": await _estimate(wire, folder),
+                "fault to trip": await _trip(wire, ticks),
             }
 
 
@@ -167,6 +170,14 @@ async def _estimate(wire: Wire, folder: Path) -> Walk:
             await asyncio.wait([recording])
     walk.functions += archived[-1].functions
     return walk
+
+
+async def _trip(wire: Wire, ticks: list[Walk]) -> Walk:
+    """Let the drive report a fault; return the tick that latches the trip for it."""
+    wire.drive.inject(2)
+    await asyncio.sleep(1.0)
+    tick = next(walk for walk in reversed(ticks) if _LATCH in walk.functions)
+    return Walk(tick.functions[: tick.functions.index(_LATCH) + 1])
 
 
 def _median(walks: list[Walk]) -> Walk:

@@ -31,6 +31,7 @@ from adaptdrive.processes import BROKER, Child, Ports, ProcessGroup
 from adaptdrive.recording.session import Ending, read_info
 from adaptdrive.runtime import reports
 from adaptdrive.runtime.accounts import state_report
+from adaptdrive.safety.trips import TripKind
 from adaptdrive.tui import follow_drive, over_mqtt
 from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive.util.errors import RecordingError, RefusedError
@@ -359,23 +360,23 @@ class VirtualStage:
         """Publish the state, and its change as an event."""
         drive, machine = self.drive, self.drive.machine
         report = state_report(machine, drive.decision, reports.StopWord.CONFIRMED)
-        last = contract.LastTrip(self._now, machine.trip, "") if machine.trip else None
+        trip = report.trip
+        last = contract.LastTrip(self._now, report.trip_kind, trip, "") if trip else None
         standing = contract.Standing(self._now, last, contract.Synchronisation.UNKNOWN, self._now)
         self._publish("state", contract.state_message(report, standing, self._profile))
         if machine.state == self._last_state:
             return
         if self._last_state:
             self._event("state", f"{self._last_state} to {machine.state}")
-        if machine.trip is not None:
-            self._event("trip", machine.trip, reports.Severity.ALARM)
+        if trip is not None:
+            self._event("trip", trip, report.trip_kind)
         if drive.completed:
             self._event("complete", "charging is complete")
         self._last_state = str(machine.state)
 
-    def _event(
-        self, kind: str, detail: str, severity: reports.Severity = reports.Severity.INFO
-    ) -> None:
-        event = reports.Event(kind, severity, detail, self.drive.ticks)
+    def _event(self, kind: str, detail: str, trip_kind: TripKind | None = None) -> None:
+        severity = reports.Severity.ALARM if kind == "trip" else reports.Severity.INFO
+        event = reports.Event(kind, severity, detail, self.drive.ticks, trip_kind)
         self._publish("event", contract.event_message(event, self._now))
 
     def _publish(self, name: str, content: Mapping[str, Any]) -> None:

@@ -236,7 +236,7 @@ def _mark(axes: Sequence[Axes], session: reader.Session, curves: Curves, scale_s
             _label(axes[0], time_s / scale_s, mark.text, _DONE["color"])
             axes[0].axvline(time_s / scale_s, **_DONE)
     for event in trips[:_MOST_LABELS]:
-        text = f"trip: {event.detail.partition(':')[0]}"
+        text = f"trip: {event.trip_kind or 'kind unknown'}"
         _label(axes[0], (event.monotonic_s - begin_s) / scale_s, text, _TRIP["color"])
 
 

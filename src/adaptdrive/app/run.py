@@ -327,7 +327,7 @@ def operator_log(recalled: journal_files.Recalled, recorder: Recorder) -> Operat
     return OperatorLog(
         replies=recalled.replies,
         events=[(row.time, row.event) for row in recalled.unsent],
-        trip=None if recalled.trip is None else (recalled.trip.time, recalled.trip.detail),
+        trip=None if recalled.trip is None else (recalled.trip.time, recalled.trip.event),
         note_reply=note_reply,
         note_sent=lambda: recorder.note(records.Kind.SENT, b""),
         kept=recorder.kept,

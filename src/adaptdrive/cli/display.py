@@ -5,9 +5,9 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from adaptdrive.cli.explain import with_kind
 from adaptdrive.mqtt import commands
 from adaptdrive.mqtt.client import LIVE_S, DriveStatus
-from adaptdrive.mqtt.contract import remedy
 from adaptdrive.util.quantity import Given
 
 _FRACTION = re.compile(r"\.\d+(?=Z)")
@@ -15,7 +15,6 @@ _SILENT = (
     "online by the broker, but no telemetry came: the daemon may be gone, or this user may not "
     "read telemetry"
 )
-_AROUND_TRIP = (("cause is still there: ", ""), ("tripped (", "); reset first"))
 
 
 def describe(drive: str, status: DriveStatus) -> str:
@@ -54,20 +53,9 @@ def site_table(site: Mapping[str, DriveStatus]) -> str:
 
 
 def _advice(state: dict[str, Any]) -> str:
-    """Return the remedy of the trip in force, empty where there is none."""
-    last = commands.part(state, "last_trip")
-    return str(last.get("remedy") or "") if state.get("trip") else ""
-
-
-def refusal_advice(reason: str) -> str:
-    """Return the remedy of the trip that a refusal names, empty where it names none.
-
-    Args:
-        reason: Reason in the reply.
-    """
-    for before, after in _AROUND_TRIP:
-        reason = reason.removeprefix(before).removesuffix(after)
-    return remedy(reason)
+    """Return the remedy of the trip in force with its kind, empty where there is none."""
+    remedy = commands.part(state, "last_trip").get("remedy")
+    return with_kind(str(remedy), state.get("trip_kind")) if remedy and state.get("trip") else ""
 
 
 def _columns(row: tuple[str, ...], widths: list[int]) -> str:
@@ -129,9 +117,10 @@ def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
     last = commands.part(state, "last_trip")
     if not last and not state.get("trip"):
         return []
-    row = ("last trip", f"{_moment(last.get('time'))}: {last.get('text')}")
+    told = f"{_moment(last.get('time'))}: {last.get('text')}"
+    row = ("last trip", with_kind(told, last.get("kind")))
     if state.get("trip"):
-        row = ("trip", str(state["trip"]))
+        row = ("trip", with_kind(str(state["trip"]), state.get("trip_kind")))
     return [row, *([("remedy", str(last["remedy"]))] if last.get("remedy") else [])]
 
 

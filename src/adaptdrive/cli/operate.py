@@ -13,8 +13,10 @@ from typing import Literal
 from msgspec.structs import asdict as asdict_of
 
 from adaptdrive.cli import UNUSABLE, discard_output, display, print_error
+from adaptdrive.cli.explain import with_kind
 from adaptdrive.cli.options import Contact, DriveName, Number
 from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
+from adaptdrive.safety.trips import kind_of, remedy
 
 ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
 _HERE = Contact()
@@ -204,7 +206,7 @@ def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: objec
     if reply.accepted:
         _print_answer(f"{drive}: {verb} accepted, {reply.state}")
         return ACCEPTED
-    advice = display.refusal_advice(reply.reason)
+    advice = with_kind(remedy(kind_of(reply.trip_kind)), reply.trip_kind)
     steps = f"\nwhat to do: {advice}" if advice else ""
     return print_error("adaptdrive", f"{drive} refused {verb}: {reply.reason}{steps}", REFUSED)
 

@@ -32,6 +32,7 @@ _COMMANDS = {
     "check": (".configuration", "Validate a configuration; list every error with its place."),
     "schema": (".configuration", "Print the JSON Schema of the configuration, for editors."),
     "probe": (".probe", "Show decoded measurements from the bus; command nothing."),
+    "explain": (".explain", "Explain a kind of trip: its cause, and what ends it; or list all."),
     "replay": (".sessions", "Run the controller again on a recorded session."),
     "events": (".sessions", "Show the events of a recorded session."),
     "plot": (".analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
@@ -46,9 +47,11 @@ _COMMANDS = {
 }
 
 # Where an argument may be left out: cyclopts calls it [ARGS] in the first line of --help.
-_ARGUMENTS = {"start": "[CONFIG]", "waveform": "DRIVE SHAPE [LOW HIGH PERIOD]"} | dict.fromkeys(
-    ("replay", "events", "plot", "identify", "whatif"), "[SESSION]"
-)
+_ARGUMENTS = {
+    "start": "[CONFIG]",
+    "explain": "[KIND]",
+    "waveform": "DRIVE SHAPE [LOW HIGH PERIOD]",
+} | dict.fromkeys(("replay", "events", "plot", "identify", "whatif"), "[SESSION]")
 
 _LIST = "List the drives of a broker."
 _SESSIONS = "List, show, verify and prune recorded sessions."

@@ -11,15 +11,16 @@ from cyclopts import App, Parameter
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
+from adaptdrive.cli.explain import with_kind
 from adaptdrive.cli.options import Json, Settings, print_each, print_json, refusing
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.mqtt.contract import remedy
 from adaptdrive.recording import journal_files, reader, segments
 from adaptdrive.recording import replay as replaying
 from adaptdrive.recording import session as folders
 from adaptdrive.recording.records import EventRow, Keep
 from adaptdrive.runtime.reports import EVENT_KINDS
+from adaptdrive.safety.trips import kind_of, remedy
 from adaptdrive.util.errors import ConfigurationError, Flaw, RecordingError, escaped, nearest
 
 app = App(name="sessions")
@@ -181,7 +182,7 @@ def events(
     directory: Folder = None,
     as_json: Json = False,
 ) -> int:
-    """Show the events of a session, each trip with its remedy.
+    """Show the events of a session, each trip with its kind and its remedy.
 
     Args:
         session: Folder of the session, or its name; the last one when left out.
@@ -196,8 +197,9 @@ def events(
         print_json(found)
         return 0
     for one in found if kind else _shown(found):
-        print(f"{one.time.isoformat()}  {one.severity:<8} {one.kind:<12} {one.detail}")
-        if one.kind == "trip" and (steps := remedy(one.detail)):
+        detail = with_kind(one.detail, one.trip_kind)
+        print(f"{one.time.isoformat()}  {one.severity:<8} {one.kind:<12} {detail}")
+        if steps := remedy(kind_of(one.trip_kind)):
             print(f"{'':<34}{'':<8} {'remedy':<12} {steps}")
     return 0
 

@@ -21,13 +21,24 @@ from adaptdrive.control.signals import Measurement, Order, Snapshot
 from adaptdrive.control.supervision import monitor, setpoints
 from adaptdrive.control.supervision.state import SlowState, reason
 
-_UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
-_DISCONNECTED = "no current: the current has left in one step: is the battery disconnected?"
+_UNRESPONSIVE: Final = (
+    "no-response",
+    "no response: input at its limit for long, and the output has not moved",
+)
+"""Kind and text of a trip, as of those that follow."""
+
+_DISCONNECTED: Final = (
+    "no-current",
+    "no current: the current has left in one step: is the battery disconnected?",
+)
 _TOO_LONG = (
     "charge time: the charge has not ended within load.charge.longest_h = {:g} h: does the "
     "current sensor read too high?"
 )
-_CYCLING = "limit cycle: the fixed controller drives V_c from limit to limit"
+_CYCLING: Final = (
+    "limit-cycle",
+    "limit cycle: the fixed controller drives V_c from limit to limit",
+)
 
 # found at once by compiled code
 _OFF: Final[signals.Stage] = signals.Stage.OFF
@@ -112,6 +123,7 @@ class Controller:
         trusted = state.accepted and state.watch.fallback == monitor.Fallback.NONE
         kept = trusted and settings.exact and state.estimator.physical
         self._note_reach()
+        fault_kind, fault = _fault(state, charging)
         mode, gains = signals.Mode.FIXED, state.fixed_gains
         if state.adaptive and state.law is not None:
             mode, gains = _ADAPTIVE, state.law.quiet_gains
@@ -129,7 +141,8 @@ class Controller:
             excitation=state.estimator.excitation,
             handover_step_V=state.handover_step,
             pole=snapshot.order.pole,
-            fault=_fault(state, charging),
+            fault=fault,
+            fault_kind=fault_kind,
             complete=charging is not None and battery.is_complete(charging, state.charge),
             reach_low=self._reach.low,
             reach_high=self._reach.high,
@@ -321,12 +334,12 @@ def _recalling(settings: ControllerSettings) -> ControllerSettings:
     return replace(settings, supervision=replace(settings.supervision, warm_up_periods=periods))
 
 
-def _fault(state: SlowState, charging: Charging | None) -> str:
-    """Return why the drive must be tripped, empty for no reason."""
+def _fault(state: SlowState, charging: Charging | None) -> tuple[str, str]:
+    """Return kind and text of the trip that the load needs, both empty for none."""
     if state.unresponsive:
         return _UNRESPONSIVE
     if charging is not None and battery.is_disconnected(charging, state.charge):
         return _DISCONNECTED
     if charging is not None and battery.is_too_long(charging, state.charge):
-        return _TOO_LONG.format(charging.longest_s / 3600.0)
-    return _CYCLING if state.cycling else ""
+        return "charge-too-long", _TOO_LONG.format(charging.longest_s / 3600.0)
+    return _CYCLING if state.cycling else ("", "")

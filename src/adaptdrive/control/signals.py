@@ -296,6 +296,7 @@ class Decision:
         float, Quantity("", "closed-loop pole with which set-points are answered", "pole_in_force")
     ] = math.nan
     fault: Annotated[str, Quantity("", "why the drive must be tripped, empty for no reason")] = ""
+    fault_kind: Annotated[str, Quantity("", "kind of that trip, empty for none")] = ""
     complete: Annotated[
         bool, Quantity("", "true when nothing is left to do, such as with a full battery")
     ] = False

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import or_
 
-from adaptdrive.safety.interlocks import describe_fault
+from adaptdrive.safety.interlocks import fault_trip
+from adaptdrive.safety.trips import Trip, TripKind
 
 # Keeps faults and warnings from the frames that show them until a reading has carried them.
 
@@ -125,10 +126,10 @@ class FaultLatch:
         return ", ".join(named)
 
     @property
-    def trip_cause(self) -> str | None:
-        """Faults that no reading has carried yet, as text."""
+    def trip_cause(self) -> Trip | None:
+        """Faults that no reading has carried yet."""
         word = self.word
-        return describe_fault(word, self.name) if word else None
+        return fault_trip(word, self.name) if word else None
 
 
 # Whether a drive has stopped, whether it obeys, and whether others command it.
@@ -162,9 +163,9 @@ class Relink:
         self._how = LOST
 
     @property
-    def trip_cause(self) -> str | None:
+    def trip_cause(self) -> Trip | None:
         """Reason not to energise the drive, None for none."""
-        return f"{_STOPPED}; {self._how}" if self._stopped else None
+        return Trip(TripKind.DRIVE_STOPPED, f"{_STOPPED}; {self._how}") if self._stopped else None
 
     def open(self, *, bridge: bool, how: str = LOST, reported_on: bool = False) -> None:
         """Begin a connection, or a silence of one.
@@ -275,13 +276,14 @@ class OtherSender:
         self._frame, self._came_s = frame, now_s
 
     @property
-    def trip_cause(self) -> str | None:
+    def trip_cause(self) -> Trip | None:
         """Reason not to energise the drive, None without a recent foreign command."""
         age_s = self._clock() - self._came_s
         if age_s > QUIET_S:
             return None
-        return (
+        return Trip(
+            TripKind.OTHER_SENDER,
             f"another sender commands this drive: {self._count} x frame {self._frame}, the last "
             f"{age_s:.1f} s ago; end the other daemon, PLC or tool: the bus must be free of its "
-            f"commands for {QUIET_S:g} s"
+            f"commands for {QUIET_S:g} s",
         )

@@ -17,6 +17,7 @@ from typing import Protocol, TypeVar
 from adaptdrive.control.signals import Command
 from adaptdrive.devices.faults import FaultLatch, FaultWord
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.trips import Trip
 
 # The port that every backend meets: how a reading arrives and a command leaves.
 
@@ -83,7 +84,7 @@ class Port(Protocol):
         """Return the counts since the port was opened."""
 
     @property
-    def trip_cause(self) -> str | None:
+    def trip_cause(self) -> Trip | None:
         """Reason of the protocol not to energise the drive, None for no reason."""
 
     @property
@@ -106,8 +107,8 @@ class Port(Protocol):
     def catch_up(self) -> None:
         """Pass the frames that have arrived, but were not read yet, to the listener."""
 
-    def explain_age(self) -> str:
-        """Return the oldest value, its source, and the likeliest cause of its age.
+    def explain_age(self) -> Trip | None:
+        """Return the oldest value, its source, and the likeliest cause of its age with its kind.
 
         Called when the values are too old to be used, never in a tick that drives.
         """

@@ -16,6 +16,7 @@ from adaptdrive.devices.polled import Port as PolledPort
 from adaptdrive.devices.polled import link, mapping
 from adaptdrive.devices.polled.registers import Block, Exchange, count, encode_count
 from adaptdrive.safety.timing import Timing, timing_of
+from adaptdrive.safety.trips import TripKind
 
 _COMPLETE = "*OPC?"
 """Question that a supply answers with 1 once all earlier commands are complete (IEEE 488.2)."""
@@ -122,7 +123,8 @@ class ScpiConnection(link.PolledLink):
         if reply is None:
             asked = " and ".join(map(repr, lines)) + self._unfinished()
             self.lost = self.lost or f"no reply within {self._timeout_s:g} s to {asked}"
-            raise link.ExchangeError(self.lost)
+            ended = TripKind.NO_LINE_END if stream.received else TripKind.NO_REPLY
+            raise link.ExchangeError(self.lost, kind=ended)
         stream.received = stream.received[len(reply) :]
         self._counts["received"] += 1
         return reply.decode("ascii", "replace").strip()

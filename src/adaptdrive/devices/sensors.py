@@ -17,6 +17,7 @@ from adaptdrive.config.root import Derived, Rule, needed_names
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import port as ports
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.trips import Trip, TripKind
 
 
 @dataclass(slots=True)
@@ -58,18 +59,18 @@ class SensorBus:
         self.up, self.detail = up, detail
         self.report(up, f"sensor bus {self.name}: {detail}")
 
-    def trip_cause(self, now_s: float) -> str | None:
+    def trip_cause(self, now_s: float) -> Trip | None:
         """The needed value that is too old, or that never came, in words."""
         for name in self.needed:
             taken_s = self.taken_s.get(name)
             if taken_s is None:
-                return f"stale: {self.name}.{name}: no measurement yet{self._why()}"
+                text = f"stale: {self.name}.{name}: no measurement yet{self._why()}"
+                return Trip(TripKind.SENSOR_MISSING, text)
             age_s = now_s - taken_s
             if not age_s <= self.stale_s:
-                return (
-                    f"stale: {self.name}.{name} is {age_s * 1e3:.0f} ms old, "
-                    f"limit {self.stale_s * 1e3:g} ms{self._why()}"
-                )
+                old = f"stale: {self.name}.{name} is {age_s * 1e3:.0f} ms old"
+                limit = f"limit {self.stale_s * 1e3:g} ms"
+                return Trip(TripKind.SENSOR_STALE, f"{old}, {limit}{self._why()}")
         return None
 
     def _why(self) -> str:
@@ -163,7 +164,7 @@ class SensoredPort:
         return self._drive.statistics
 
     @property
-    def trip_cause(self) -> str | None:
+    def trip_cause(self) -> Trip | None:
         """Complaint of the drive's protocol, else the sensor value that is too old."""
         trip_cause, now_s = self._drive.trip_cause, self._clock()
         for bus in self.buses:

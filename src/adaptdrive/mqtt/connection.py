@@ -23,6 +23,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.steady import SteadyClient
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util import clock, files, log
 from adaptdrive.util.errors import first_error
 
@@ -48,7 +49,7 @@ class ClientName:
     own: str
     monotonic: Callable[[], float]
     alarm: Callable[[str], None]
-    trip: Callable[[str], None]
+    trip: Callable[[Trip], None]
 
     def __post_init__(self) -> None:
         self.present = self.own
@@ -103,7 +104,7 @@ class ClientName:
         )
         self.alarm(cause)
         if certain:
-            self.trip(cause)
+            self.trip(Trip(TripKind.SECOND_CLIENT, cause))
 
 
 # The connection to a broker: made, kept, and made again.

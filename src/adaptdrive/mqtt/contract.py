@@ -7,13 +7,10 @@ units with RFC 3339 times in UTC. JSON has neither NaN nor infinity: the encoder
 from __future__ import annotations
 
 import dataclasses
-import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
-from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -22,6 +19,7 @@ from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.commands import STOP
 from adaptdrive.runtime import reports
+from adaptdrive.safety.trips import TripKind, remedy
 from adaptdrive.util.quantity import BOOST, Given
 
 Range = tuple[float | None, float | None]
@@ -67,6 +65,10 @@ class Profile:
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+NO_TRIP = "none"
+"""Kind of the trip in `telemetry/drive` while there is none: what stores series of numbers takes no
+notice of null, and would keep the last kind."""
+
 ONLINE = b"online"
 OFFLINE = b"offline"
 
@@ -83,6 +85,8 @@ class Reply(msgspec.Struct, frozen=True):
         accepted: Whether it was carried out.
         reason: Why not; empty when it was.
         state: State of the drive afterwards, None while it is not known yet.
+        trip_kind: Kind of the trip, or of the standing cause of one, for which it was refused; None
+            for any other reason. A later version may have more kinds than are known here.
     """
 
     id: str | int | None
@@ -90,6 +94,7 @@ class Reply(msgspec.Struct, frozen=True):
     accepted: bool
     reason: str
     state: reports.State | None
+    trip_kind: str | None = None
 
 
 class Synchronisation(StrEnum):
@@ -106,11 +111,13 @@ class LastTrip:
 
     Attributes:
         time: Time of the trip.
+        kind: Kind of the trip, None for one of a daemon that has other kinds.
         text: Text of the trip.
-        remedy: Steps that remove its cause, before `reset`; empty for an unknown cause.
+        remedy: Steps that remove its cause, before `reset`; empty for an unknown kind.
     """
 
     time: datetime
+    kind: TripKind | None
     text: str
     remedy: str
 
@@ -153,18 +160,32 @@ def histogram_message(report: reports.DriveReport, time: datetime) -> Payload:
     return {"time": time} | dict(report.histograms)
 
 
-def drive_message(report: reports.DriveReport, time: datetime, output: Output) -> Payload:
-    """Return the payload of `telemetry/drive` for a report that arrived at `time`."""
+def drive_message(
+    report: reports.DriveReport, time: datetime, output: Output, trip: TripKind | None = None
+) -> Payload:
+    """Return the payload of `telemetry/drive` for a report that arrived at `time`.
+
+    Args:
+        report: The fast loop.
+        time: When it arrived.
+        output: The regulated quantity.
+        trip: Kind of the latched trip, None when not tripped.
+    """
     measured = {name: getattr(report.measurement, name, None) for name in MEASURED}
     sensors = {one.name: _fields(one, "name") for one in report.sensors}
     whole = _fields(report, "measurement", "sensors", "histograms", "time_s")
-    return {"time": time} | measured | whole | {"sensors": sensors} | _named(output)
+    others = {"sensors": sensors, "trip_kind": trip or NO_TRIP}
+    return {"time": time} | measured | whole | others | _named(output)
+
+
+def last_trip(time: datetime, event: reports.Event) -> LastTrip:
+    """Return a trip by its event."""
+    return LastTrip(time, event.trip_kind, event.detail, remedy(event.trip_kind))
 
 
 def event_message(event: reports.Event, time: datetime) -> Payload:
     """Return the payload of `event` for something that was reported at `time`."""
-    known = remedy(event.detail) if event.severity is reports.Severity.ALARM else ""
-    return {"time": time} | _fields(event) | {"remedy": known}
+    return {"time": time} | _fields(event) | {"remedy": remedy(event.trip_kind)}
 
 
 def _named(output: Output) -> Payload:
@@ -174,36 +195,6 @@ def _named(output: Output) -> Payload:
 def _fields(report: DataclassInstance, *left_out: str) -> Payload:
     names = (field.name for field in dataclasses.fields(report))
     return {name: getattr(report, name) for name in names if name not in left_out}
-
-
-# The causes of trips with their remedies, as `runtime/trips.toml` lists them.
-#
-# An interlock gives its cause as text, and records keep only that. The registry leads from there to
-# the remedy: in the table of `docs/operation.md`, and in each message.
-
-
-def _beginning(entry: dict[str, str]) -> str:
-    """Return the sign of an entry that has none: what comes before the colon of its example."""
-    return f"^{re.escape(entry['example'].partition(': ')[0])}: "
-
-
-_TRIPS_FILE = resources.files("adaptdrive.runtime") / "trips.toml"
-TRIPS: tuple[dict[str, str], ...] = tuple(
-    {"sign": _beginning(one)} | one
-    for one in tomllib.loads(_TRIPS_FILE.read_text(encoding="utf-8"))["trip"]
-)
-"""Kinds of trips: `sign`, a regular expression that occurs in the text of such a trip; `example`,
-such a text, where `…` stands for the rest; `cause` in words; `remedy`, the steps before `reset`."""
-
-
-def remedy(text: str) -> str:
-    """Return the steps that remove the cause of a trip as plain text, empty for an unknown cause.
-
-    Args:
-        text: Text of the trip.
-    """
-    found = (trip["remedy"] for trip in TRIPS if re.search(trip["sign"], text))
-    return next(found, "").replace("`", "")
 
 
 # Topics of a drive, and of a simulated device.

@@ -185,10 +185,11 @@ class OperatorCommand:
         return isinstance(identity, str) and 1 <= len(identity) <= commands.LONGEST_ID
 
     def reply(
-        self, state: State | None, reason: str = "", *, accepted: bool = False
+        self, state: State | None, reason: str = "", trip_kind: str = "", *, accepted: bool = False
     ) -> contract.Reply:
         """Return a reply to it."""
-        return contract.Reply(self.payload.id, self.verb, accepted, _clean(reason), state)
+        told = accepted, _clean(reason), state, trip_kind or None
+        return contract.Reply(self.payload.id, self.verb, *told)
 
 
 @dataclass
@@ -274,7 +275,8 @@ class Desk:
         try:
             return command.reply(await work, accepted=True)
         except AdaptdriveError as problem:
-            return self._refused(command, str(problem))
+            kind = problem.kind if isinstance(problem, RefusedError) else ""
+            return command.reply(self.present_state(), str(problem), kind)
 
     async def _acknowledge(self, command: OperatorCommand) -> State | None:
         """Carry out a command that changes nothing and is not recorded."""

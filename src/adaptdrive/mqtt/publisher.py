@@ -20,6 +20,7 @@ import msgspec
 
 from adaptdrive.mqtt import contract
 from adaptdrive.runtime import reports
+from adaptdrive.safety.trips import TripKind, remedy
 
 # Reports to publish: the present state, and queues of what was not published yet.
 
@@ -53,6 +54,11 @@ class StateBoard:
         return self._report.state if self._report else None
 
     @property
+    def trip_kind(self) -> TripKind | None:
+        """Kind of the latched trip, None when not tripped."""
+        return self._report.trip_kind if self._report else None
+
+    @property
     def shutting_down(self) -> bool:
         """True while the daemon ends."""
         return self._report is not None and self._report.shutting_down
@@ -74,7 +80,8 @@ class StateBoard:
         if known is None or report.state is not known.state:
             self._standing = replace(self._standing, since=now)
         if report.trip is not None and (known is None or report.trip != known.trip):
-            trip = contract.LastTrip(now, report.trip, contract.remedy(report.trip))
+            kind = report.trip_kind
+            trip = contract.LastTrip(now, kind, report.trip, remedy(kind))
             self._standing = replace(self._standing, last_trip=trip)
 
     def show_clock(self, clock: contract.Synchronisation) -> None:
@@ -291,7 +298,8 @@ class Intake:
                     self.load.put(message)
                     self.history.add(message)
                 case reports.DriveReport():
-                    message = contract.drive_message(report, time, self.output)
+                    trip = self.board.trip_kind
+                    message = contract.drive_message(report, time, self.output, trip)
                     self.drive.put(message)
                     self.history.add_reading(message)
                     self.histograms.put(contract.histogram_message(report, time))

@@ -20,6 +20,7 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt import connection, contract, desk, publisher, steady
 from adaptdrive.mqtt.session import BrokerSession
 from adaptdrive.runtime import reports, requests
+from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.clock import repeat
 
 # Discovery message for Home Assistant: one retained message makes the drive a device there.
@@ -93,6 +94,10 @@ def _sensors(profile: contract.Profile, topics: contract.Topics) -> dict[str, co
         "controller": _shown("controller in force", topics.state, "{{ value_json.controller }}"),
         "tripped": _shown("trip", topics.state, "{{ 'ON' if value_json.trip else 'OFF' }}")
         | {"platform": "binary_sensor", "device_class": "problem"},
+        "trip_kind": _shown(
+            "kind of trip", topics.state, f"{{{{ value_json.trip_kind or '{contract.NO_TRIP}' }}}}"
+        )
+        | {"device_class": "enum", "options": [contract.NO_TRIP, *TripKind]},
         "refused": _shown("refused command", topics.reply, _ANSWER),
         "last_trip": _shown("last trip", topics.state, _LAST_TRIP)
         | {
@@ -193,7 +198,7 @@ class OperatorLog:
     Attributes:
         replies: Replies of earlier runs, the oldest first.
         events: Time and contents of the events that the broker does not have, the oldest first.
-        trip: Time and text of the last trip, None before the first.
+        trip: Time and event of the last trip, None before the first.
         note_reply: Has a reply kept by its id.
         note_sent: Has it kept that the broker has the oldest event.
         kept: Waits until the disk keeps what was noted and published, for a longest time in s.
@@ -205,7 +210,7 @@ class OperatorLog:
 
     replies: Sequence[desk.Recalled] = ()
     events: Sequence[tuple[datetime, reports.Event]] = ()
-    trip: tuple[datetime, str] | None = None
+    trip: tuple[datetime, reports.Event] | None = None
     note_reply: Callable[[str, bytes], None] = lambda _identity, _body: None
     note_sent: Callable[[], None] = lambda: None
     kept: Callable[[float], Awaitable[None]] = reports.wait_for_nothing
@@ -244,7 +249,7 @@ class MqttService:
         self._around = surroundings
         self._host = host
         tripped, wall = surroundings.trip, surroundings.wall
-        trip = contract.LastTrip(*tripped, contract.remedy(tripped[1])) if tripped else None
+        trip = contract.last_trip(*tripped) if tripped else None
         self._board = publisher.StateBoard(wall, profile, trip)
         unsent = (
             contract.encode(contract.event_message(event, time))

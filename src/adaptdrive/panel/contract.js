@@ -3,11 +3,11 @@
 
 /**
  * @typedef {{value: number|null, std: number|null}} Estimate
- * @typedef {{time: string, text: string, remedy: string}} Trip
+ * @typedef {{time: string, kind: string, text: string, remedy: string}} Trip
  * @typedef {{shape: string, low: number|null, high: number|null, period_s: number|null}} Waveform
  * @typedef {{
  *   state: string, mode: string, controller: string, reason: string, enabled: boolean,
- *   setpoint: number|null, waveform: Waveform|null, pole: number|null, trip: string|null,
+ *   setpoint: number|null, waveform: Waveform|null, pole: number|null, trip: string|null, trip_kind: string,
  *   stop: string|null, time: string, since: string, last_trip: Trip|null, clock: string,
  *   output: {name: string, unit: string}, manipulated: {name: string, unit: string}, modes: string[],
  *   limits: Record<string, [number|null, number|null]>, reach: [number|null, number|null]
@@ -23,7 +23,7 @@
  *   age_s: number|null, lateness_us: {p99: number|null, max: number|null}, bus: Record<string, number|null>,
  *   sensors: Record<string, {up: boolean, detail: string}>, bridge: boolean
  * }} Fast
- * @typedef {{time: string, kind: string, severity: string, detail: string, remedy: string}} DriveEvent
+ * @typedef {{time: string, kind: string, severity: string, detail: string, remedy: string, trip_kind: string}} DriveEvent
  * @typedef {{timeS: number, output: number|null, boost_voltage_V: number|null, reference: number|null, asked_V: number|null}} Point
  * @typedef {{timeS: number, kind: string, text: string}} Mark
  * @typedef {{rows: Load[], points: Point[]}} Past

@@ -76,13 +76,15 @@ const DrivePage = (() => {
 
   /** A trip: when, why, what to do, and the button that ends it. @param {HTMLElement} reset */
   function banner(reset) {
-    const cause = Dom.make("strong"), advice = Dom.make("p");
-    const root = Dom.make("div.alarm", { role: "alert", hidden: true }, Dom.make("div", {}, cause, advice), reset);
+    const cause = Dom.make("strong"), kind = Dom.make("small.kind"), advice = Dom.make("p");
+    const root = Dom.make("div.alarm", { role: "alert", hidden: true }, Dom.make("div", {}, cause, kind, advice), reset);
     return { root, draw(/** @type {DriveView} */ { state }) {
       root.hidden = !state?.trip;
       if (!state?.trip) return;
       const { time, remedy } = state.last_trip ?? { time: state.since, remedy: "" };
       Dom.say(cause, `Trip, ${Dom.date(Drives.timeS(time))}: ${Drives.cause(state)}`);
+      Dom.say(kind, state.trip_kind);
+      Dom.mark(kind, "title", Drives.explain(state.trip_kind));
       Dom.say(advice, remedy && `What to do: ${remedy}`);
     } };
   }
@@ -204,7 +206,9 @@ const DrivePage = (() => {
 
   /** @param {DriveEvent} event */
   function eventRow(event) {
-    return Dom.make("li", { "data-severity": event.severity }, Dom.make("time", {}, Dom.clock(Drives.timeS(event.time))), Dom.make("b", {}, event.kind), event.detail, event.remedy && !event.detail.includes(event.remedy) ? Dom.make("small", {}, event.remedy) : "");
+    const remedy = event.remedy && !event.detail.includes(event.remedy) ? Dom.make("small", {}, event.remedy) : "";
+    const kind = event.trip_kind ? Dom.make("small.kind", { title: Drives.explain(event.trip_kind) }, event.trip_kind) : "";
+    return Dom.make("li", { "data-severity": event.severity }, Dom.make("time", {}, Dom.clock(Drives.timeS(event.time))), Dom.make("b", {}, event.kind), event.detail, kind, remedy);
   }
 
   return { open };

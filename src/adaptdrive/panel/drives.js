@@ -191,6 +191,11 @@ const Drives = (() => {
     return remedy && trip.endsWith(`: ${remedy}`) ? trip.slice(0, -remedy.length - 2) : trip;
   }
 
+  /** How to learn more of a kind of trip. @param {string} kind */
+  function explain(kind) {
+    return kind && `kind of this trip: adaptdrive explain ${kind}`;
+  }
+
   /** @type {Map<string, Drive>} */
   const all = new Map();
 
@@ -237,6 +242,6 @@ const Drives = (() => {
     }
   }
 
-  return { all, named, take, expected, lose, cause, timeS };
+  return { all, named, take, expected, lose, cause, explain, timeS };
 })();
 /** @typedef {ReturnType<typeof Drives.named>} DriveView */

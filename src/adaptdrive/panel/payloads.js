@@ -42,7 +42,8 @@ const Payloads = (() => {
 
   /** @param {unknown} value @returns {Trip|null} */
   function trip(value) {
-    return isObject(value) ? { time: text(value.time), text: text(value.text), remedy: text(value.remedy) } : null;
+    if (!isObject(value)) return null;
+    return { time: text(value.time), kind: text(value.kind), text: text(value.text), remedy: text(value.remedy) };
   }
 
   /** @param {Record<string, unknown>} raw @returns {State} */
@@ -51,7 +52,7 @@ const Payloads = (() => {
     return {
       state: text(raw.state), mode: text(raw.mode), controller: text(raw.controller),
       reason: text(raw.reason), time: text(raw.time), since: text(raw.since), clock: text(raw.clock),
-      stop: textOrNull(raw.stop), trip: textOrNull(raw.trip), last_trip: trip(raw.last_trip), enabled: raw.enabled === true,
+      stop: textOrNull(raw.stop), trip: textOrNull(raw.trip), trip_kind: text(raw.trip_kind), last_trip: trip(raw.last_trip), enabled: raw.enabled === true,
       setpoint: number(raw.setpoint), pole: number(raw.pole), waveform: waveform(raw.waveform),
       output: { name: text(output.name) || "output", unit: text(output.unit) },
       manipulated: { name: text(manipulated.name) || "v_bst", unit: textOrNull(manipulated.unit) ?? "V" },
@@ -86,8 +87,8 @@ const Payloads = (() => {
 
   /** @param {Record<string, unknown>} raw @returns {DriveEvent} */
   function event(raw) {
-    const remedy = text(raw.remedy);
-    return { time: text(raw.time), kind: text(raw.kind), severity: text(raw.severity), detail: text(raw.detail), remedy };
+    const remedy = text(raw.remedy), trip_kind = text(raw.trip_kind);
+    return { time: text(raw.time), kind: text(raw.kind), severity: text(raw.severity), detail: text(raw.detail), remedy, trip_kind };
   }
 
   /** @param {Record<string, unknown>} raw @returns {Past} */

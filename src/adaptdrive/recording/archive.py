@@ -22,6 +22,7 @@ import pyarrow as pa
 
 from adaptdrive.recording import journal_files, reader, records, segments, session, tables, writer
 from adaptdrive.runtime.reports import MONOTONIC, Severity
+from adaptdrive.safety.trips import TripKind, advices, kind_of, remedy
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
 
 # The record of a trip: a small session with the time around it.
@@ -89,11 +90,19 @@ def _text(drive: str, trip: records.EventRow, events: list[records.EventRow]) ->
         trip.detail,
         "",
         f"drive {drive}, {trip.time:%Y-%m-%dT%H:%M:%S.%f}Z, tick {trip.tick}",
+        *_advice(kind_of(trip.trip_kind)),
         "",
         "events before and after:",
         *(f"{one.time:%H:%M:%S.%f} {one.severity:<7} {one.kind}: {one.detail}" for one in events),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _advice(kind: TripKind | None) -> list[str]:
+    """Return the kind of a trip, its remedy, and the page of the manual that says more."""
+    if kind is None:
+        return []
+    return [f"kind: {kind}", f"remedy: {remedy(kind)}", f"page: {advices()[kind].page}"]
 
 
 # The archive: a fold from the log of a drive to the folders of its sessions.

@@ -22,6 +22,7 @@ import msgspec
 
 from adaptdrive.recording.session import SessionInfo
 from adaptdrive.runtime import reports
+from adaptdrive.safety.trips import kind_of
 
 # Payloads of the log's records: rows of ticks, slow steps and sensors, events and commands.
 
@@ -60,6 +61,7 @@ class EventRow(msgspec.Struct, frozen=True):
         detail: One sentence.
         monotonic_s: When it was reported, monotonic.
         number: Running number in the session, from 1.
+        trip_kind: Kind of the trip, None where it is none.
     """
 
     time: datetime
@@ -69,11 +71,13 @@ class EventRow(msgspec.Struct, frozen=True):
     detail: str
     monotonic_s: float
     number: int
+    trip_kind: str | None = None
 
     @property
     def event(self) -> reports.Event:
         """The event as it was reported."""
-        return reports.Event(self.kind, reports.Severity(self.severity), self.detail, self.tick)
+        severity, kind = reports.Severity(self.severity), kind_of(self.trip_kind)
+        return reports.Event(self.kind, severity, self.detail, self.tick, kind)
 
 
 class CommandRow(msgspec.Struct, frozen=True):

@@ -42,7 +42,8 @@ NOTE_ROWS: dict[str, type[msgspec.Struct]] = {
 }
 """Rows of the tables that a session keeps for as long as it exists."""
 
-_NOTE_TYPES = _TYPES | {str: pa.string(), datetime: UTC}
+_NOTE_TYPES: dict[object, pa.DataType] = _TYPES | {str: pa.string(), datetime: UTC}
+_NOTE_TYPES[str | None] = pa.string()
 _CHOICES = {one.name: one.choices for one in (*TICK_COLUMNS, *SLOW_COLUMNS) if one.choices}
 
 

@@ -9,6 +9,7 @@ from adaptdrive.control.signals import Decision, Mode
 from adaptdrive.devices.port import PortStatistics
 from adaptdrive.devices.sensors import SensorBus
 from adaptdrive.runtime import fast_loop, reports, state_machine, tick_support
+from adaptdrive.safety.trips import Trip, TripKind
 
 _WARNING_S = 1.0
 """Shortest time between two events of warnings: a bit may change in every half cycle."""
@@ -31,6 +32,7 @@ def state_report(
         stop: Confirmation of the stop by the drive.
         shutting_down: Whether the daemon ends.
     """
+    trip = machine.trip
     return reports.StateReport(
         state=machine.state,
         mode=machine.mode,
@@ -40,7 +42,8 @@ def state_report(
         setpoint=machine.setpoint,
         waveform=machine.waveform,
         pole=machine.pole,
-        trip=machine.trip,
+        trip=None if trip is None else trip.text,
+        trip_kind=None if trip is None else trip.kind,
         shutting_down=shutting_down,
         stop=stop if machine.commanded_off else None,
         voltage_V=machine.manual.target_V if machine.mode is Mode.MANUAL else None,
@@ -69,16 +72,16 @@ def _source(mode: Mode, decision: Decision | None) -> Mode:
     return Mode.FIXED if decided is Mode.MANUAL else decided
 
 
-def status_line(report: reports.StateReport, bus_problem: str | None, cause: str | None) -> str:
+def status_line(report: reports.StateReport, bus_problem: str | None, cause: Trip | None) -> str:
     """Return the state of a drive and what it waits for.
 
     Args:
         report: The state.
         bus_problem: Why the bus is lost, None while it is there.
-        cause: Interlock that is active now, None for none. Only what comes before its colon is
-            returned: the figures behind it change all the time.
+        cause: Interlock that is active now, None for none. Only its kind is returned: the figures
+            of its text change all the time.
     """
-    obstacle = bus_problem or (cause and cause.partition(":")[0])
+    obstacle = bus_problem or (cause and cause.kind)
     match report.state:
         case reports.State.STANDBY:
             awaited = f"the drive ({obstacle})" if obstacle else "enable"
@@ -212,7 +215,7 @@ class RefusedShare:
         self._limit = limit
         self._marks: deque[tuple[float, Mapping[str, int]]] = deque()
         self._noted = False
-        self.cause: str | None = None
+        self.cause: Trip | None = None
 
     def add(self, now_s: float, counts: Mapping[str, int]) -> str | None:
         """Take the counts of the port, and judge its share anew.
@@ -238,7 +241,8 @@ class RefusedShare:
         share = min(1.0, sum(refused.values()) / judged)
         text = self._text(share, judged, refused)
         trips = self._limit and share >= self._limit
-        self.cause = f"refused frames: {text}, limit {self._limit:.0%}" if trips else None
+        full = f"refused frames: {text}, limit {self._limit:.0%}"
+        self.cause = Trip(TripKind.REFUSED_SHARE, full) if trips else None
         noted, least = self._noted, _FORGOTTEN_SHARE if self._noted else _NOTED_SHARE
         self._noted = share >= least
         return text if self._noted and not noted else None
@@ -361,9 +365,14 @@ class Announcer:
         """Publish an event of the present tick."""
         self._hub.publish(reports.Event(kind, severity, detail, self._fast.tick))
 
+    def publish_alarm(self, kind: str, trip: Trip) -> None:
+        """Publish the alarm for a trip, or for what would be one."""
+        alarm, tick = reports.Severity.ALARM, self._fast.tick
+        self._hub.publish(reports.Event(kind, alarm, trip.text, tick, trip.kind))
+
     def _report_state(self, report: reports.StateReport, last: reports.StateReport) -> None:
-        if report.trip is not None and last.trip is None:
-            self.publish_event("trip", reports.Severity.ALARM, report.trip)
+        if self._machine.trip is not None and last.trip is None:
+            self.publish_alarm("trip", self._machine.trip)
         self.publish_event("state", reports.Severity.INFO, f"{last.state} to {report.state}")
         self.update_manager()
 

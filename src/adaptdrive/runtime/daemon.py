@@ -20,6 +20,7 @@ from adaptdrive.runtime import (
 )
 from adaptdrive.runtime.settings import DaemonSettings
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.clock import TickTimer
 from adaptdrive.util.errors import RefusedError
 
@@ -138,7 +139,8 @@ class Daemon:
         Args:
             problem: Error that was raised outside of the daemon's tasks.
         """
-        self._machine.latch(f"internal error: {problem!r}; keep the log for a report")
+        text = f"internal error: {problem!r}; keep the log for a report"
+        self._machine.latch(Trip(TripKind.INTERNAL_ERROR, text))
         with contextlib.suppress(Exception):  # the first problem counts
             self._fast.send_safe()
         if self._failure is not None and not self._failure.done():
@@ -149,7 +151,7 @@ class Daemon:
         if self._failure is not None:
             await self._failure
 
-    def trip(self, cause: str) -> None:
+    def trip(self, cause: Trip) -> None:
         """Trip at once for a cause outside the drive.
 
         Args:
@@ -286,16 +288,16 @@ class Daemon:
         self._machine.reach = Reach(decision.reach_low, decision.reach_high)
         self._hub.publish(reports.LoadReport(snapshot, decision, self._clock()))
         if decision.fault:
-            self._machine.latch(decision.fault)
+            self._machine.latch(Trip(TripKind(decision.fault_kind), decision.fault))
             self._fast.send_safe()
         elif decision.complete:  # the load has what it needs: a safe state without a trip
             self._announcer.publish_event("complete", reports.Severity.INFO, "charging is complete")
             self._send_stop()
         self._announcer.publish_state()
 
-    def not_stopped(self, detail: str) -> None:
+    def not_stopped(self, problem: Trip) -> None:
         """Report that the drive has not confirmed its stop in time, for any first cause."""
-        self._announcer.publish_event("stop", reports.Severity.ALARM, detail)
+        self._announcer.publish_alarm("stop", problem)
 
     def run_ended(self) -> None:
         """Discard what was decided: it is valid for one run only."""
@@ -339,7 +341,7 @@ class Daemon:
             self.trip(cause)
 
     @property
-    def _refused_cause(self) -> str | None:
+    def _refused_cause(self) -> Trip | None:
         """Return the first port whose share of refused frames forbids to energise the drive."""
         causes = (share.cause for share in self._refused.values())
         return next((cause for cause in causes if cause is not None), None)

@@ -21,6 +21,7 @@ from adaptdrive.runtime.settings import FastLoopSettings, LoopServices
 from adaptdrive.safety.capacitor import CapacitorBalance
 from adaptdrive.safety.facts import Reading, assuming
 from adaptdrive.safety.guard import Guard
+from adaptdrive.safety.trips import Trip, TripKind
 
 _OFF: Final[signals.Stage] = signals.Stage.OFF  # found at once by compiled code
 _PRECHARGE: Final[signals.Stage] = signals.Stage.PRECHARGE
@@ -133,7 +134,7 @@ class FastLoop:
         self.tick_time = TimeWindow()
 
     @property
-    def cause(self) -> str | None:
+    def cause(self) -> Trip | None:
         """The interlock that is active now; the fault of the port comes first.
 
         A drive that is commanded off and has its bridge on must not be enabled or reset.
@@ -142,7 +143,8 @@ class FastLoop:
         cause = self._interlocks.standing_cause(reading, self._surroundings.now_s())
         if cause or self._machine.energised or reading is None or not reading.bridge:
             return cause
-        return "the drive's bridge is on although it is commanded off"
+        text = "the drive's bridge is on although it is commanded off"
+        return Trip(TripKind.SWITCHED_ON, text)
 
     def begin(self) -> None:
         """Start the stand-in timer; the first frame takes over from it."""
@@ -229,7 +231,9 @@ class FastLoop:
             if capacitor is not None:
                 capacitor.sent(self.command.current_scale_S)
         except ValueError as problem:
-            self._machine.latch(f"command cannot be sent: {problem}")
+            finite = math.isfinite(command.current_scale_S + command.boost_reference_V)
+            kind = TripKind.COMMAND_UNFIT if finite else TripKind.GAIN_NOT_FINITE
+            self._machine.latch(Trip(kind, f"command cannot be sent: {problem}"))
             self.send_safe()
 
     def _arm(self, deadline_s: float) -> None:
@@ -271,7 +275,8 @@ class FastLoop:
         """Give the slow loop its snapshot; the safe command replaces this tick's if that trips."""
         snapshot = self._schedule.take_snapshot()
         if snapshot is not None and not self._surroundings.snapshot_taken(snapshot):
-            self._machine.latch("slow loop: no decision for three slow periods")
+            text = "slow loop: no decision for three slow periods"
+            self._machine.latch(Trip(TripKind.SLOW_LOOP, text))
             self.send_safe()
 
     def _keep_time(self, due_s: float, began_s: float, ended_s: float, *, fresh: bool) -> None:

@@ -13,6 +13,7 @@ from adaptdrive.runtime.timebase import HalfCycles
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.frame_rate import verdict_ticks
 from adaptdrive.safety.interlocks import find_cause
+from adaptdrive.safety.trips import Trip, TripKind
 
 _PAUSE_READINGS = 3.0
 """Readings without an evaluation after which this process did not run: counts jump by as many."""
@@ -47,7 +48,7 @@ class InterlockBoard:
         self._stale_s = timing.stale_s
         self._gap_limit_s = timing.overslept_s
 
-    def unknown_rate(self, now_s: float) -> str | None:
+    def unknown_rate(self, now_s: float) -> Trip | None:
         """Return why the drive's rate is not known, at which it is not energised; None once it is.
 
         Args:
@@ -55,9 +56,12 @@ class InterlockBoard:
         """
         if self._rate is None or self._rate.judged:
             return None
-        return self._busy(now_s) or (
+        if busy := self._busy(now_s):
+            return Trip(TripKind.MACHINE_BUSY, busy)
+        return Trip(
+            TripKind.RATE_UNKNOWN,
             "the drive's half-cycle counter jumps again and again, or its readings are too few: "
-            "look for a gateway that repeats or loses frames, and at signals.counter"
+            "look for a gateway that repeats or loses frames, and at signals.counter",
         )
 
     def awaits_bridge(self, now_s: float) -> bool:
@@ -71,7 +75,7 @@ class InterlockBoard:
             self._pause_s, self._paused_s = pause_s, now_s
         self._watched_s = now_s
 
-    def standing_cause(self, reading: Reading | None, now_s: float) -> str | None:
+    def standing_cause(self, reading: Reading | None, now_s: float) -> Trip | None:
         """Return the interlock that is active in any state; the drive's protocol comes first."""
         cause = self._port.trip_cause or find_cause(
             reading, now_s, self._limits, self._stale_s, self._port.explain_age
@@ -81,11 +85,14 @@ class InterlockBoard:
         standing_s, limit_s = self._rate.standing_s, self._stale_s
         if standing_s <= limit_s:
             wrong, busy = self._rate.cause, self._busy(now_s)
-            return f"{wrong}; {busy}" if wrong and busy else wrong
-        return (  # the readings may be one reading, repeated
+            if wrong is not None and busy:
+                return Trip(TripKind.MACHINE_BUSY, f"{wrong}; {busy}")
+            return wrong
+        return Trip(  # the readings may be one reading, repeated
+            TripKind.COUNTER_STANDS,
             f"half-cycle counter: the drive's count has stood for {standing_s * 1e3:.0f} ms while "
             f"frames come, limit {limit_s * 1e3:g} ms: its control hangs, or its last frame is "
-            "repeated"
+            "repeated",
         )
 
     def _busy(self, now_s: float) -> str:
@@ -99,7 +106,7 @@ class InterlockBoard:
 
     def running_cause(
         self, reading: Reading | None, now_s: float, *, running: bool, bridge: bool
-    ) -> str | None:
+    ) -> Trip | None:
         """Evaluate every interlock of an energised drive.
 
         Args:
@@ -118,19 +125,20 @@ class InterlockBoard:
         ) or self._counts.find_cause(commanded=bridge)
         return cause or self._implausible(reading, running=running)
 
-    def gap_cause(self, now_s: float) -> str | None:
+    def gap_cause(self, now_s: float) -> Trip | None:
         """Return the cause of a trip when this process did not run for long until now."""
         unwatched_s = now_s - self._watched_s
         if unwatched_s <= self._gap_limit_s:
             return None
-        return (
+        return Trip(
+            TripKind.OVERSLEPT,
             f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms, limit "
             f"{self._gap_limit_s * 1e3:g} ms: the machine is overloaded or was suspended; set "
             f"interlocks.stale_s (now {self._stale_s:g}) to {2.0 * unwatched_s:.2g} where "
-            f"the drive's own time-out allows it, or {_PRIORITY}"
+            f"the drive's own time-out allows it, or {_PRIORITY}",
         )
 
-    def late_command_cause(self, now_s: float) -> str | None:
+    def late_command_cause(self, now_s: float) -> Trip | None:
         """Return the cause of a trip when a drive that may have stopped was just driven on.
 
         This process did not run between its last look at the drive and the bus, and the next report
@@ -139,15 +147,16 @@ class InterlockBoard:
         unwatched_s = now_s - self._watched_s
         if not self._bridge.hides_stop(unwatched_s):
             return None
-        return (
+        return Trip(
+            TripKind.OVERSLEPT,
             f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms while "
             "it sent a command: the drive may have stopped by itself and been switched on again; "
-            f"{_PRIORITY}"
+            f"{_PRIORITY}",
         )
 
-    def _implausible(self, reading: Reading, *, running: bool) -> str | None:
+    def _implausible(self, reading: Reading, *, running: bool) -> Trip | None:
         """Return why the output cannot be that of the load, although its sensor still sends."""
-        cause: str | None = None
+        cause: Trip | None = None
         for watch in self._watches:
             if running:
                 cause = cause or watch.find_cause(reading)

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Generic, TypeVar
 
 from adaptdrive.control import signals
 from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
+from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import escaped
 from adaptdrive.util.quantity import Quantity, columns_of
 
@@ -63,12 +64,13 @@ class StateReport:
         setpoint: Constant set-point in the unit of the output; the last one while a waveform runs.
         waveform: The running waveform, None while the set-point is constant.
         pole: Closed-loop pole asked for.
-        trip: Cause of the latched trip, None when not tripped.
+        trip: Text of the latched trip, None when not tripped.
         shutting_down: Whether the daemon ends and refuses every command but `disable`.
         stop: Confirmation of the stop by the drive, None while it may be energised.
         voltage_V: V_c that the operator has set in mode manual, None in every other.
         reach: What V_c can hold: lowest and highest output at rest, NaN while not known.
         coasting: Whether the enabled drive is held off until a set-point within reach.
+        trip_kind: Kind of the latched trip, None when not tripped.
     """
 
     state: State
@@ -85,6 +87,7 @@ class StateReport:
     voltage_V: float | None = None
     reach: Reach = UNKNOWN
     coasting: bool = False
+    trip_kind: TripKind | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,12 +225,14 @@ class Event:
         severity: How much it matters.
         detail: One sentence; what is not UTF-8, as the name of a file may be, is escaped.
         tick: Fast tick at which it happened.
+        trip_kind: Kind of the trip, None where it is none.
     """
 
     kind: str
     severity: Severity
     detail: str
     tick: int
+    trip_kind: TripKind | None = None
 
     def __post_init__(self) -> None:
         """Escape what neither a record nor a message can take."""

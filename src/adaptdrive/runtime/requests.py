@@ -9,6 +9,7 @@ from typing import ClassVar, Protocol
 
 from adaptdrive.control.signals import Mode, Waveform
 from adaptdrive.runtime.reports import State
+from adaptdrive.safety.trips import Trip
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +139,7 @@ class Host(Protocol):
             RefusedError: The request cannot be carried out; nothing was changed.
         """
 
-    def trip(self, cause: str) -> None:
+    def trip(self, cause: Trip) -> None:
         """Trip at once for a cause outside the drive; the first cause stays until `reset`."""
 
     def stop(self) -> State:

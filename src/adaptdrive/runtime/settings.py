@@ -14,6 +14,7 @@ from adaptdrive.runtime import reports
 from adaptdrive.safety import plausibility
 from adaptdrive.safety.interlocks import Limits
 from adaptdrive.safety.timing import Timing
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import RefusedError
 
 # V_c as the operator sets it in mode `manual`: a ramp to the value asked for, and its expiry.
@@ -47,7 +48,7 @@ class ManualVoltage:
             return self.target_V
         return self.start_V + (way_V if distance_V > 0.0 else -way_V)
 
-    def find_cause(self, tick: int) -> str | None:
+    def find_cause(self, tick: int) -> Trip | None:
         """Return why the operator must be taken for lost at a tick, None while there is no reason.
 
         Args:
@@ -55,7 +56,8 @@ class ManualVoltage:
         """
         if self.hold_s is None or tick - self.since_tick <= self.hold_ticks:
             return None
-        return f"manual: no new voltage within the {self.hold_s:g} s that its sender had set"
+        text = f"manual: no new voltage within the {self.hold_s:g} s that its sender had set"
+        return Trip(TripKind.OPERATOR_LOST, text)
 
 
 # Limits of an operator's requests, and the refusals of values outside them.
@@ -175,7 +177,7 @@ class MachineLimits:
         slew_V = limits.manual_slew_V_per_s * self.drive.half_cycle_s
         return ManualVoltage(held_V, held_V, tick, slew_V)
 
-    def precharge_cause(self, boost_voltage_V: float) -> str:
+    def precharge_cause(self, boost_voltage_V: float) -> Trip:
         """Return the cause of a trip in state `starting`, with the likeliest remedy."""
         passed_s, given = self.starting_ticks * self.drive.half_cycle_s, self.drive.given
         hint = (
@@ -184,11 +186,12 @@ class MachineLimits:
             else "; a boost stage that works only with the enable bit on needs drive.enable_bit = "
             "'bridge-and-boost'"
         )
-        return (
+        return Trip(
+            TripKind.PRECHARGE,
             f"precharge: {given.name} = {given.text(boost_voltage_V, '.1f')} after "
             f"{passed_s:g} s, needs {given.text(self.floor_V, 'g')}{hint}; else the "
             "drive refuses the commands (checksum, counter, local instead of remote mode), or line "
-            "or precharge circuit is open"
+            "or precharge circuit is open",
         )
 
 
@@ -258,7 +261,7 @@ class LoopServices(Protocol):
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
         """Take note of a decision that takes effect."""
 
-    def not_stopped(self, detail: str) -> None:
+    def not_stopped(self, problem: Trip) -> None:
         """Take note of a stop that the drive has not confirmed in time."""
 
     def run_ended(self) -> None:

@@ -17,6 +17,7 @@ from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.runtime import requests
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.settings import MachineLimits, can_hold
+from adaptdrive.safety.trips import Trip
 from adaptdrive.util.errors import RefusedError
 
 # compiled code finds a constant of its module at once, and a member of an enumeration in 0.1 us
@@ -51,7 +52,7 @@ class Machine:
         self.setpoint = limits.load.reference_min
         self.waveform: Waveform | None = None
         self.pole = limits.load.pole
-        self.trip: str | None = None
+        self.trip: Trip | None = None
         self.stopped = False
         self.reach = limits.reach
         self._coasts = False
@@ -143,7 +144,7 @@ class Machine:
         request: requests.Request,
         tick: int,
         output: float,
-        cause: str | None,
+        cause: Trip | None,
         voltage_V: float = math.nan,
     ) -> None:
         """Carry out an operator's request.
@@ -243,7 +244,7 @@ class Machine:
                 self._start()
         self.waveform = waveform
 
-    def enable(self, output: float, cause: str | None, tick: int) -> None:
+    def enable(self, output: float, cause: Trip | None, tick: int) -> None:
         """Start the drive, with the present output as set-point; no effect while it is energised.
 
         In mode manual it coasts until a voltage is asked for: a program that dies before that
@@ -258,15 +259,16 @@ class Machine:
         Raises:
             RefusedError: The drive is tripped or has not stopped, or an interlock is active.
         """
-        if self.state is State.TRIPPED:
-            raise RefusedError(f"tripped ({self.trip}); reset first")
+        if self.trip is not None:
+            raise RefusedError(f"tripped ({self.trip}); reset first", self.trip.kind)
         if self.energised:
             return
         if self.state is State.STOPPING:
-            why = "" if cause is None else f" ({cause})"
-            raise RefusedError(f"the drive has not confirmed its stop{why}; enable it in standby")
+            why, kind = ("", "") if cause is None else (f" ({cause})", cause.kind)
+            text = f"the drive has not confirmed its stop{why}; enable it in standby"
+            raise RefusedError(text, kind)
         if cause is not None:
-            raise RefusedError(cause)
+            raise RefusedError(cause.text, cause.kind)
         limits, known = self._limits, self.reach.is_known
         self.waveform = None
         self.manual = limits.held(limits.rest_V, tick)
@@ -284,7 +286,7 @@ class Machine:
         if self.energised:
             self.state = State.STOPPING
 
-    def reset(self, cause: str | None) -> None:
+    def reset(self, cause: Trip | None) -> None:
         """Leave a trip; no effect in other states.
 
         Args:
@@ -296,7 +298,7 @@ class Machine:
         if self.state is not State.TRIPPED:
             return
         if cause is not None:
-            raise RefusedError(f"cause is still there: {cause}")
+            raise RefusedError(f"cause is still there: {cause}", cause.kind)
         self.trip = None
         self.state = State.STANDBY if self.stopped else State.STOPPING
 
@@ -305,7 +307,7 @@ class Machine:
         tick: int,
         boost_voltage_V: float,
         *,
-        unknown_rate: str | None = None,
+        unknown_rate: Trip | None = None,
         now_s: float = 0.0,
     ) -> None:
         """Move from `starting` to `running` at the floor of the boost voltage, and watch the hand.
@@ -336,14 +338,15 @@ class Machine:
         elif tick - self._since_tick > self._limits.starting_ticks:
             self.latch(self._limits.precharge_cause(boost_voltage_V))
 
-    def _await_rate(self, unknown_rate: str, now_s: float) -> None:
+    def _await_rate(self, unknown_rate: Trip, now_s: float) -> None:
         """Trip once the rate has been unknown for too long, or its operator may be lost."""
         self._awaited_s = min(self._awaited_s, now_s)
         waited_s, limit_s = now_s - self._awaited_s, self._limits.rate_s
         if self.mode is _MANUAL and self.manual.hold_s is not None:
             limit_s = min(limit_s, self.manual.hold_s)
         if waited_s > limit_s:
-            self.latch(f"frame rate: not known {waited_s:.3g} s after the start: {unknown_rate}")
+            text = f"frame rate: not known {waited_s:.3g} s after the start: {unknown_rate}"
+            self.latch(Trip(unknown_rate.kind, text))
 
     def forget_reach(self) -> None:
         """Go by the nominal model again: what a run found may not hold in the next one."""
@@ -361,7 +364,7 @@ class Machine:
         if self.state is State.STANDBY:
             self.state = State.STOPPING
 
-    def latch(self, cause: str) -> None:
+    def latch(self, cause: Trip) -> None:
         """Trip; the first cause stays."""
         if self.state is not State.TRIPPED:
             self.state = State.TRIPPED

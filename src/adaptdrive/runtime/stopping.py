@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from enum import Enum, auto
+from typing import Final
 
 from adaptdrive.control.signals import Stage
 from adaptdrive.devices.port import Port
@@ -10,6 +11,7 @@ from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.timing import Timing
+from adaptdrive.safety.trips import Trip, TripKind
 
 # Notices a drive that has stopped by itself: it must not be driven on as if it had not.
 
@@ -49,7 +51,7 @@ class BridgeWatch:
 
     def find_cause(
         self, reading: Reading, *, commanded: bool, due: bool, unwatched_s: float, now_s: float
-    ) -> str | None:
+    ) -> Trip | None:
         """Return the cause of a trip, None for none.
 
         Only reports of the drive count: one that has fallen silent is stale, not off. A bridge that
@@ -84,7 +86,8 @@ class BridgeWatch:
             return None
         if not self._been_on and not self._is_overdue(reading.bridge_reported_s):
             return None
-        return f"drive stopped: its bridge is off although it was commanded on{self._hidden}"
+        text = f"drive stopped: its bridge is off although it was commanded on{self._hidden}"
+        return Trip(TripKind.DRIVE_STOPPED, text)
 
     def must_report(self, unwatched_s: float) -> bool:
         """Return whether a drive that may have stopped by itself must report before a command.
@@ -171,6 +174,8 @@ def _bridge_report_s(reading: Reading) -> float:
 
 
 # Holds a drive to its stop: it must confirm that its bridge is off, and keep it off.
+
+_STAYS: Final = "the drive does not stop"
 
 _ON_READINGS = 2
 """Readings with the bridge on that are no flicker of a drive that has just stopped."""
@@ -261,30 +266,34 @@ class StopWatch:
         """Wait for a confirmation again."""
         self._confirmed, self._commanded_s = False, now_s
 
-    def unconfirmed_text(self, reading: Reading | None, safe_s: float, now_s: float) -> str:
+    def unconfirmed(self, reading: Reading | None, safe_s: float, now_s: float) -> Trip:
         """Return why the stop is not confirmed, and the likeliest remedy."""
         waited = f"{(now_s - self._commanded_s) * 1e3:.0f} ms after the stop"
         if safe_s == math.inf:
-            return (
-                f"it has not taken the safe command {waited}; check that it accepts commands from "
-                "the bus (remote mode, write access), and disconnect its supply"
+            return Trip(
+                TripKind.STOP_NOT_TAKEN,
+                f"{_STAYS}: it has not taken the safe command {waited}; check that it accepts "
+                "commands from the bus (remote mode, write access), and disconnect its supply",
             )
         if reading is not None and reading.bridge and reading.bridge_reported_s > self._commanded_s:
-            return (
-                f"its bridge is still on {waited}; check that it accepts commands from the bus "
-                "(remote mode, checksum, another sender), and disconnect its supply"
+            return Trip(
+                TripKind.NOT_STOPPED,
+                f"{_STAYS}: its bridge is still on {waited}; check that it accepts commands from "
+                "the bus (remote mode, checksum, another sender), and disconnect its supply",
             )
-        return (
-            f"it has not reported its bridge off {waited}; check its cable and its supply, "
-            "and disconnect the supply before the load is touched"
+        return Trip(
+            TripKind.STOP_NOT_REPORTED,
+            f"{_STAYS}: it has not reported its bridge off {waited}; check its cable and its "
+            "supply, and disconnect the supply before the load is touched",
         )
 
 
 # Stop of a drive: what its reports mean for the state machine.
 
-_SWITCHED_ON = (
+_SWITCHED_ON: Final = Trip(
+    TripKind.SWITCHED_ON,
     "the drive's bridge is on although this daemon did not command it: look for another sender, a "
-    "key on its panel, or a drive that restarts by itself"
+    "key on its panel, or a drive that restarts by itself",
 )
 
 
@@ -297,7 +306,7 @@ class Stopping:
     """
 
     def __init__(
-        self, port: Port, timing: Timing, machine: Machine, report: Callable[[str], None]
+        self, port: Port, timing: Timing, machine: Machine, report: Callable[[Trip], None]
     ) -> None:
         """Await a confirmation from the start on.
 
@@ -354,7 +363,7 @@ class Stopping:
         elif machine.state is State.STARTING and (reading is None or not reading.bridge):
             return  # as in `standby`, only a bridge that is on makes a missing report a problem
         elif verdict is Stop.OVERDUE and self.status is not StopWord.MISSING:
-            self._trip(f"the drive does not stop: {watch.unconfirmed_text(reading, safe_s, now_s)}")
+            self._trip(watch.unconfirmed(reading, safe_s, now_s))
         elif verdict is Stop.AWAITED and settled:
             self.status = StopWord.AWAITED
 
@@ -386,7 +395,7 @@ class Stopping:
             self.watch.await_again(now_s)
             self._machine.withdraw_stop()
 
-    def _trip(self, problem: str) -> None:
+    def _trip(self, problem: Trip) -> None:
         """Trip; a drive that had tripped before keeps that cause, and this one is reported once."""
         if self._machine.state is State.TRIPPED and self.status is not StopWord.MISSING:
             self._report(problem)

@@ -28,6 +28,7 @@ from typing import Final
 from adaptdrive.config.root import DriveSection
 from adaptdrive.control.signals import Command
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.trips import Trip, TripKind
 
 _LOST_SHARE: Final = 0.05
 """Share of the commanded power that a drive may lose without being asked."""
@@ -100,7 +101,7 @@ class CapacitorBalance:
 
     def find_cause(
         self, reading: Reading, ticks: int, tick_s: float, *, running: bool
-    ) -> str | None:
+    ) -> Trip | None:
         """Advance the prediction to this tick; return why it trips, None for no reason.
 
         Args:
@@ -196,7 +197,7 @@ class CapacitorBalance:
         if asks and math.isnan(self._asked_V2):
             self._asked_V2, self._asked_ticks, self._fall_V2 = self._reported_V2, 0, 0.0
 
-    def _frozen_cause(self, ticks: int) -> str | None:
+    def _frozen_cause(self, ticks: int) -> Trip | None:
         """Return the cause of a trip where a report that is asked does not move."""
         if math.isnan(self._asked_V2):
             return None
@@ -212,22 +213,24 @@ class CapacitorBalance:
         if moved:
             self._asked_V2, self._unseen_V2 = math.nan, 0.0
         elif self._asked_ticks >= patience:
-            return (
+            return Trip(
+                TripKind.VOLTAGE_FROZEN,
                 f"v_bst: the report stands at {math.sqrt(self._reported_V2):.1f} V, whatever "
                 "energy is commanded: it is frozen, or its scale, that of the load power, that of "
-                "k or drive.boost_capacitance_F is wrong"
+                "k or drive.boost_capacitance_F is wrong",
             )
         return None
 
-    def _exceeded(self) -> str | None:
+    def _exceeded(self) -> Trip | None:
         """Return the cause of a trip where the command on its way leads beyond the limit."""
         coming_V = math.sqrt(max(0.0, self._predicted_V2 + self._coming_V2()))
         if coming_V <= self._highest_V:
             return None
-        return (
+        return Trip(
+            TripKind.OVER_VOLTAGE_PREDICTED,
             f"over-voltage: v_bst is predicted to reach {coming_V:.1f} V, limit "
             f"{self._highest_V:g} V: it was not reported for {self._silent_ticks} half "
-            "cycles while the capacitor was charged"
+            "cycles while the capacitor was charged",
         )
 
 

@@ -18,6 +18,8 @@ be old, before it is accepted.
 
 import math
 
+from adaptdrive.safety.trips import Trip, TripKind
+
 SLACK_TICKS = 3
 """Permitted difference of count and time, in half cycles, for jitter of the arrival."""
 
@@ -66,7 +68,7 @@ class CounterWatch:
         self._accepted: _Count | None = None
         self._suspect: _Count | None = None
         self._stray: _Count | None = None
-        self._cause: str | None = None
+        self._cause: Trip | None = None
 
     @property
     def may_have_restarted(self) -> bool:
@@ -96,7 +98,7 @@ class CounterWatch:
             self._newest = count
         return False
 
-    def find_cause(self, *, commanded: bool) -> str | None:
+    def find_cause(self, *, commanded: bool) -> Trip | None:
         """Return the cause of a trip, None for none.
 
         Args:
@@ -143,9 +145,8 @@ class CounterWatch:
 
     def _note_restart(self, before: _Count, anew: _Count) -> None:
         due = round(before[0] + self._passed(before, anew)) % self._modulus
-        self._cause = (
-            f"drive restarted: its half-cycle counter began anew, {anew[0]} where {due} was due"
-        )
+        text = f"drive restarted: its half-cycle counter began anew, {anew[0]} where {due} was due"
+        self._cause = Trip(TripKind.DRIVE_RESTARTED, text)
 
     def _off(self, since: _Count, count: _Count) -> float:
         """Return the half cycles by which a count is off, beyond what a line drifts meanwhile."""

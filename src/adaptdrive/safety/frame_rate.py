@@ -22,6 +22,8 @@ long it has stood is measured apart.
 import math
 from collections import deque
 
+from adaptdrive.safety.trips import Trip, TripKind
+
 _SHORTEST_TICKS = 60
 """Half cycles from which a rate is judged: 0.5 s on a 60 Hz line."""
 
@@ -98,7 +100,7 @@ class FrameRate:
         self._wrong_since_s: float | None = None
         self._moved_s = math.inf
         self.judged = False
-        self.cause: str | None = None
+        self.cause: Trip | None = None
         self.standing_s = 0.0
 
     def add(
@@ -145,7 +147,7 @@ class FrameRate:
         elif now_s - self._wrong_since_s >= _LASTING_TICKS * self._tick_s:
             self.cause = wrong
 
-    def _problem(self, counted: _Ends | None, sent: _Ends) -> str | None:
+    def _problem(self, counted: _Ends | None, sent: _Ends) -> Trip | None:
         if counted is None:
             fits = sent[1][0] >= sent[0][0] or _fits(*sent)  # lost readings are no sign
         else:
@@ -158,9 +160,10 @@ class FrameRate:
             found = f"sends {_share(*sent) * expected_Hz:.4g} readings/s"
         else:
             found = f"counts {_share(*counted) * expected_Hz:.4g} half cycles/s"
-        return (
+        return Trip(
+            TripKind.FRAME_RATE,
             f"frame rate: the drive {found}, expected {expected_Hz:.4g}/s: look at "
-            "drive.line_frequency_Hz, bus.clock and bus.clock_ticks"
+            "drive.line_frequency_Hz, bus.clock and bus.clock_ticks",
         )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.quantity import BOOST, Given
 
 
@@ -41,8 +42,8 @@ def find_cause(
     now_s: float,
     limits: Limits,
     stale_s: float,
-    explain_age: Callable[[], str] = str,
-) -> str | None:
+    explain_age: Callable[[], Trip | None] = lambda: None,
+) -> Trip | None:
     """The first reason why the drive must not be energised, None when there is none.
 
     Args:
@@ -50,50 +51,56 @@ def find_cause(
         now_s: Monotonic time.
         limits: Trip levels.
         stale_s: Oldest usable measurement.
-        explain_age: Names the oldest value and why it is old; called for a stale reading alone.
+        explain_age: Returns the oldest value and why it is old, with the kind of a trip for it;
+            called for a stale reading alone.
     """
     if reading is None:
-        return f"stale: no measurement yet{_reason(explain_age())}"
+        return _stale(TripKind.NO_MEASUREMENT, "no measurement yet", explain_age())
     age_s = now_s - reading.oldest_s
     limit_s = stale_s + reading.slack_s
     if not age_s <= limit_s:
-        return (
-            f"stale: measurement is {age_s * 1e3:.0f} ms old, limit {limit_s * 1e3:g} ms"
-            f"{_reason(explain_age())}"
-        )
+        text = f"measurement is {age_s * 1e3:.0f} ms old, limit {limit_s * 1e3:g} ms"
+        return _stale(TripKind.STALE, text, explain_age())
     return _unhealthy(reading, limits.absent) or _exceeded(reading, limits)
 
 
-def _reason(text: str) -> str:
-    return f"; {text}" if text else ""
+def _stale(kind: TripKind, text: str, why: Trip | None) -> Trip:
+    """Return the trip of an old measurement, by the likeliest cause where that is known."""
+    if why is None:
+        return Trip(kind, f"stale: {text}")
+    return Trip(why.kind, f"stale: {text}; {why.text}")
 
 
-def _unhealthy(reading: Reading, absent: frozenset[str]) -> str | None:
+def _unhealthy(reading: Reading, absent: frozenset[str]) -> Trip | None:
     name = _not_finite(reading, absent)
     if name is not None:
-        return (
+        return Trip(
+            TripKind.NOT_FINITE,
             f"invalid: {name} = {getattr(reading, name)} is not a finite number: look at its "
-            "sensor, its scale and offset, and at [derived]"
+            "sensor, its scale and offset, and at [derived]",
         )
     if reading.fault:
-        return describe_fault(reading.fault, reading.fault_name)
+        return fault_trip(reading.fault, reading.fault_name)
     return None
 
 
-def _exceeded(reading: Reading, limits: Limits) -> str | None:
+def _exceeded(reading: Reading, limits: Limits) -> Trip | None:
     if abs(reading.boost_voltage_V) > limits.boost_voltage_max_V:
-        given = limits.given
-        return (
-            f"{'over-voltage' if given.is_boost_voltage else 'drive above its limit'}: "
-            f"{given.name} = {given.text(reading.boost_voltage_V, '.1f')}, limit "
-            f"{given.text(limits.boost_voltage_max_V, 'g')}"
-        )
+        given, name = limits.given, "drive above its limit"
+        kind = TripKind.ABOVE_LIMIT
+        if given.is_boost_voltage:
+            kind, name = TripKind.OVER_VOLTAGE, "over-voltage"
+        value = given.text(reading.boost_voltage_V, ".1f")
+        highest = given.text(limits.boost_voltage_max_V, "g")
+        return Trip(kind, f"{name}: {given.name} = {value}, limit {highest}")
     if reading.output > limits.output_max:
         values = _compared(reading.output, limits.output_max, limits)
-        return f"output above its limit: {values}: look for a lost load, or at the sensor"
+        text = f"output above its limit: {values}: look for a lost load, or at the sensor"
+        return Trip(TripKind.OUTPUT_HIGH, text)
     if reading.output < limits.output_min:
         values = _compared(reading.output, limits.output_min, limits)
-        return f"output below its limit: {values}: is the sensor reversed, or its wire broken?"
+        text = f"output below its limit: {values}: is the sensor reversed, or its wire broken?"
+        return Trip(TripKind.OUTPUT_LOW, text)
     return None
 
 
@@ -115,12 +122,13 @@ def _not_finite(reading: Reading, absent: frozenset[str]) -> str | None:
     return next((name for name in odd if name not in absent), None)
 
 
-def describe_fault(word: int, name: str) -> str:
-    """Return a fault in words.
+def fault_trip(word: int, name: str) -> Trip:
+    """Return the trip for a fault of the drive.
 
     Args:
         word: The drive's fault word.
         name: Its name, empty for none.
     """
     coded = f"word {word:#x}"
-    return f"drive fault: {name} ({coded})" if name else f"drive fault: {coded}"
+    text = f"drive fault: {name} ({coded})" if name else f"drive fault: {coded}"
+    return Trip(TripKind.DRIVE_FAULT, text)

@@ -37,6 +37,7 @@ from typing import Protocol
 
 from adaptdrive.control.loads.load import to_input
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.trips import Trip, TripKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,7 @@ class Watch(Protocol):
     def forget(self) -> None:
         """Begin anew: the drive is not running."""
 
-    def find_cause(self, reading: Reading) -> str | None:
+    def find_cause(self, reading: Reading) -> Trip | None:
         """Return the cause of a trip, None for none.
 
         Args:
@@ -166,7 +167,7 @@ class Response:
         """Begin anew: the drive is not running."""
         self._arrival_s = math.nan
 
-    def find_cause(self, reading: Reading) -> str | None:
+    def find_cause(self, reading: Reading) -> Trip | None:
         """Return why the output is too low to be true, None while it is not.
 
         Args:
@@ -188,17 +189,18 @@ class Response:
         self._output = self._highest = reading.output
         self._stages = [min(0.0, reading.output)] * len(self._stages)
 
-    def _low(self, lowest: float) -> str | None:
+    def _low(self, lowest: float) -> Trip | None:
         limits = self._limits
         if self._output >= lowest - limits.margin:
             return None
-        return (
+        return Trip(
+            TripKind.OUTPUT_TOO_LOW,
             f"no response: {limits.output_name} = {self._value(self._output)}, and with this input "
             f"must be above {self._value(lowest)}: is the sensor reversed or its wire broken, is "
-            "the load blocked?"
+            "the load blocked?",
         )
 
-    def _fallen(self, period_s: float) -> str | None:
+    def _fallen(self, period_s: float) -> Trip | None:
         """Compare with the fastest fall from the highest output so far."""
         limits = self._limits
         if limits.by_power:
@@ -206,10 +208,11 @@ class Response:
         self._highest = max(self._highest * math.exp(-period_s / limits.fastest_s), self._output)
         if self._output >= self._highest - _FALL_MARGIN * limits.reference_range:
             return None
-        return (
+        return Trip(
+            TripKind.OUTPUT_FELL,
             f"no response: {limits.output_name} fell to {self._value(self._output)}, and the load "
             f"cannot have fallen below {self._value(self._highest)} yet: is the sensor's wire "
-            "broken?"
+            "broken?",
         )
 
     def _value(self, output: float) -> str:
@@ -261,7 +264,7 @@ class StillnessWatch:
         for one in self._inputs.values():
             one.forget()
 
-    def find_cause(self, reading: Reading) -> str | None:
+    def find_cause(self, reading: Reading) -> Trip | None:
         """Return the cause of a trip, None for none.
 
         Args:
@@ -301,7 +304,7 @@ class Stillness:
         """Begin anew: the drive is not running."""
         self._output = math.nan
 
-    def advance(self, output: float, input_value: float, arrival_s: float) -> str | None:
+    def advance(self, output: float, input_value: float, arrival_s: float) -> Trip | None:
         """Take the newest measurement, again where there is no newer one.
 
         Args:
@@ -325,8 +328,10 @@ class Stillness:
         still_s = arrival_s - self._since_s
         if abs(moved) > self._distance:
             distance = f"{limits.output_name} should have moved by {moved:.3g} {limits.output_unit}"
-            return f"{self._text(still_s)}, and {distance}"
-        return self._text(still_s) if still_s > limits.longest_s else None
+            return Trip(TripKind.OUTPUT_FROZEN, f"{self._text(still_s)}, and {distance}")
+        if still_s > limits.longest_s:
+            return Trip(TripKind.OUTPUT_FROZEN, self._text(still_s))
+        return None
 
     @property
     def _distance(self) -> float:

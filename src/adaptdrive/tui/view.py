@@ -177,7 +177,9 @@ def _header(record: WatchRecord, width: int) -> Iterator[Text]:
     yield line
     if state.get("trip"):
         remedy = part(state, "last_trip").get("remedy") or "see the manual"
-        texts = {f"trip: {printable(state['trip'])}": "red", f"remedy: {printable(remedy)}": ""}
+        kind = f" [{printable(state['trip_kind'])}]" if state.get("trip_kind") else ""
+        trip = f"trip{kind}: {printable(state['trip'])}"
+        texts = {trip: "red", f"remedy: {printable(remedy)}": ""}
         for text, style in texts.items():
             yield from (Text(one, style) for one in flow([text], width)[:_TRIP_LINES])
 

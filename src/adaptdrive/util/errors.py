@@ -74,10 +74,15 @@ class BusError(PlacedError):
 
 
 class RefusedError(AdaptdriveError):
-    """An operator's command was not carried out; the reason is the message."""
+    """An operator's command was not carried out; the reason is the message.
 
-    def __init__(self, reason: str) -> None:
+    Attributes:
+        kind: Kind of the trip for which it was not, empty for any other reason.
+    """
+
+    def __init__(self, reason: str, kind: str = "") -> None:
         self.reason = reason
+        self.kind = kind
         super().__init__(reason)
 
 

@@ -15,6 +15,7 @@ from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.world import World
 from tests.integration.closed_loop.test_same_on_every_bus import COURSES, configured
 from tests.integration.closed_loop.wire import WAIT_s, Wire, wired
+from tests.support import text_of
 
 pytestmark = pytest.mark.usefixtures("outside")
 
@@ -42,7 +43,7 @@ async def run_drive(wire: Wire) -> str | None:
     if machine.trip is None:
         await wire.daemon.execute(SetSetpoint(3.0))
         await asyncio.sleep(20.0)
-    return machine.trip
+    return text_of(machine.trip)
 
 
 async def stop_before_it_is_on(wire: Wire) -> None:

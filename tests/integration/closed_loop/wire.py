@@ -69,6 +69,7 @@ class Wire:
     world: World
     reports: Reports
     hub: Hub
+    drive: SimulatedDrive
 
     @property
     def state(self) -> State:
@@ -131,7 +132,7 @@ async def wired(
         ends = [tasks.create_task(one) for one in hardware]
         await asyncio.sleep(0.1)
         running = tasks.create_task(daemon.run(stop))
-        yield Wire(daemon, drive.world, Reports(reports), hub)
+        yield Wire(daemon, drive.world, Reports(reports), hub, drive)
         stop.set()
         await running
         for end in ends:

@@ -26,6 +26,7 @@ from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.safety.facts import Reading
 from adaptdrive.util.errors import RefusedError
 from tests.loopback_port import LoopbackPort
+from tests.support import text_of
 
 
 class QueuedPort(LoopbackPort):
@@ -131,7 +132,7 @@ class DaemonByHand:
     @property
     def trip(self) -> str | None:
         """Cause of the latched trip."""
-        return self.daemon._machine.trip
+        return text_of(self.daemon._machine.trip)
 
     def wait(self, until_s: float) -> None:
         """Let time pass; the timer expires when it is due."""

@@ -17,6 +17,7 @@ from adaptdrive_sim.plants.bath import Bath
 from adaptdrive_sim.plants.battery import Battery
 from adaptdrive_sim.plants.motor import Motor
 from tests.integration.faults.course import Course, weaker
+from tests.support import a_trip
 
 MOTORS = ("motor, CAN", "motor, Modbus")
 BATHS = ("bath, Modbus",)
@@ -196,7 +197,7 @@ def _stalled(course: Course) -> None:
 
 
 def _complaint(course: Course) -> None:
-    course.daemon.port.trip_cause = "another sender commands this drive"
+    course.daemon.port.trip_cause = a_trip("another sender commands this drive")
 
 
 NO_RESPONSE = ("no response", "stuck", "output", "load", "error")

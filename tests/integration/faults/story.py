@@ -33,9 +33,11 @@ from adaptdrive.safety.facts import Reading
 from tests.integration.faults.by_hand import DaemonByHand
 from tests.integration.faults.off import MustBeOff, OWN_TIMEOUT_s
 from tests.integration.wire.rig import EXAMPLES
+from tests.support import a_trip
 
 MOTOR = EXAMPLES / "motor.toml"
 TICK_s = 1.0 / 120.0
+OTHER_SENDER = a_trip("another sender commands")
 HEALTHY = {"boost_voltage_V": 215.0, "output": 2.6, "fault": 0, "line_voltage_V": 120.0}
 WISHES = st.one_of(
     st.builds(SetSetpoint, st.sampled_from([0.0, 2.5, 3.3, 4.2, 9.0, math.nan])),
@@ -182,7 +184,7 @@ class Story(RuleBasedStateMachine):
     @rule(speaks=st.booleans())
     def another_sender(self, speaks: bool) -> None:
         self.must.trip_cause = speaks
-        self.daemon.port.trip_cause = "another sender commands" if speaks else None
+        self.daemon.port.trip_cause = OTHER_SENDER if speaks else None
 
     # -- the daemon --------------------------------------------------------------------------
 
@@ -203,7 +205,7 @@ class Story(RuleBasedStateMachine):
 
     def _start_daemon(self) -> DaemonByHand:
         daemon = DaemonByHand(self.configuration, self._hear, self.now)
-        daemon.port.trip_cause = "another sender commands" if self.must.trip_cause else None
+        daemon.port.trip_cause = OTHER_SENDER if self.must.trip_cause else None
         daemon.port.on_delivery = self._note
         daemon.revise = self._revised
         return daemon

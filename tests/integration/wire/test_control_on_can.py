@@ -61,7 +61,7 @@ async def periods(wire: Wire, count: int) -> list[LoadReport]:
 async def tripped(wire: Wire) -> str:
     """Wait for a trip; its cause."""
     await until(lambda: wire.state is State.TRIPPED, poll_s=0.05)
-    return wire.daemon._machine.trip or ""
+    return "" if wire.daemon._machine.trip is None else wire.daemon._machine.trip.text
 
 
 async def test_power_returns_to_the_line_within_its_limit(free_udp_port: int) -> None:

@@ -207,7 +207,7 @@ async def test_refused_writes_trip_a_running_drive() -> None:
         assert after_s < ANNOUNCED_s
         note("stop-refused-tcp", after_s, 0.0)
         trip_cause = "the drive refuses commands: exception reply 3"
-        await until(lambda: (rig.port.trip_cause or "").startswith(trip_cause))
+        await until(lambda: str(rig.port.trip_cause).startswith(trip_cause))
         with pytest.raises(RefusedError, match=trip_cause):
             await rig.daemon.execute(Reset())
         await wire.heal()

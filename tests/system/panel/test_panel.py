@@ -128,6 +128,10 @@ def test_a_trip_is_shown_with_its_remedy_and_reset(operator: Panel, panel_site: 
     tripped = datetime.fromisoformat(site.state["last_trip"]["time"]).astimezone()
     operator.expect_text(".alarm", f"Trip, {tripped:%Y-%m-%d %H:%M:%S}: ")
     expect(operator.page.locator(".latest li").filter(has_text="stale").first).to_be_in_viewport()
+    operator.expect_text(".alarm .kind", "no-message")
+    explained = "kind of this trip: adaptdrive explain no-message"
+    expect(operator.page.locator(".alarm .kind")).to_have_attribute("title", explained)
+    expect(operator.page.locator(".latest .kind").first).to_have_text("no-message")
     operator.expect_text(".alarm", "What to do: ")
     operator.expect_text(".age", "drive silent")
     operator.page.locator(".alarm").get_by_role("button", name="Reset trip").click()
@@ -203,6 +207,7 @@ KEYS = {
         "controller",
         "reason",
         "trip",
+        "trip_kind",
         "stop",
         "time",
         "since",
@@ -211,7 +216,7 @@ KEYS = {
     ),
     "telemetry/load": ("time", "output", "reference", "estimates", "controller", "reason"),
     "telemetry/drive": ("time", "output", "bus", "sensors", "lateness_us", "ticks"),
-    "event": ("time", "kind", "severity", "detail"),
+    "event": ("time", "kind", "severity", "detail", "trip_kind"),
     "history": ("rows", "time"),
 }
 NOW = "2026-11-22T00:00:00Z"
@@ -335,11 +340,12 @@ def test_no_payload_becomes_a_script_or_stops_the_page(
             hostile_raw(site.broker_port, f"adaptdrive/evil/{topic}", raw)
     publish(site.broker_port, "adaptdrive/evil/availability", "online")
     limits = {"setpoint": [MARKUP, {}], "pole": 7, "boost_V": None}
-    trip = {"time": MARKUP, "text": MARKUP, "remedy": MARKUP}
+    trip = {"time": MARKUP, "kind": MARKUP, "text": MARKUP, "remedy": MARKUP}
     state = {
         "state": MARKUP,
         "time": NOW,
         "trip": MARKUP,
+        "trip_kind": MARKUP,
         "last_trip": trip,
         "limits": limits,
         "modes": [MARKUP],

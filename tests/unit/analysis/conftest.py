@@ -18,6 +18,10 @@ from tests.unit.recording.material import INFO, make_batch, record_messages
 BEGIN_s = 1000.0
 TRIP_s = 30.0
 SECONDS = 50
+TRIP = EventRow(
+    *(INFO.started, 0, "trip", "alarm", "stale: 54 ms", BEGIN_s + TRIP_s, 1),
+    trip_kind="no-message",
+)
 
 
 @pytest.fixture(scope="session")
@@ -31,7 +35,7 @@ def session_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     batch = msgspec.structs.replace(
         make_batch(ticks, slow, last=True),
         utc_offset_s=INFO.started.timestamp() - BEGIN_s,
-        events=[EventRow(INFO.started, 0, "trip", "alarm", "stale: 54 ms", BEGIN_s + TRIP_s, 1)],
+        events=[TRIP],
         commands=[
             CommandRow(
                 INFO.started + timedelta(seconds=1),

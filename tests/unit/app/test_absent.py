@@ -67,7 +67,7 @@ def test_an_absent_value_trips_nothing_and_a_lost_one_does(name: str) -> None:
     assert find_cause(reading(**other), 0.01, trip_limits(parse(**absent)), 0.05) is None
     cause = find_cause(reading(**other), 0.01, trip_limits(parse()), 0.05)
     assert cause is not None
-    assert f"invalid: {name} = nan" in cause
+    assert f"invalid: {name} = nan" in cause.text
 
 
 @pytest.mark.parametrize(("lowest_V", "target"), [(0.0, 0.5), (-300.0, -3.0)])

@@ -20,12 +20,12 @@ from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command
 from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.mqtt.client import DriveStatus
-from adaptdrive.mqtt.contract import remedy
 from adaptdrive.mqtt.service import discovery
 from adaptdrive.recording.tables import table_schema
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.guard import Guard
 from adaptdrive.safety.interlocks import find_cause
+from adaptdrive.safety.trips import remedy
 from adaptdrive.tui.record import WatchRecord
 from adaptdrive.tui.view import screen
 from adaptdrive.util.errors import RefusedError
@@ -56,8 +56,9 @@ def test_texts_have_its_name_and_unit() -> None:
     configuration = parse(**HZ)
     reading = Reading(0.0, 0.0, None, 56.0, math.nan, math.nan, 1.0, 0, bridge=True)
     cause = find_cause(reading, 0.01, trip_limits(configuration), 0.05)
-    assert cause == "drive above its limit: frequency = 56.0 Hz, limit 55 Hz"
-    assert "scale" in remedy(cause)
+    assert cause is not None
+    assert cause.text == "drive above its limit: frequency = 56.0 Hz, limit 55 Hz"
+    assert "scale" in remedy(cause.kind)
     with pytest.raises(RefusedError, match=r"60 Hz is outside 0…50 Hz"):
         daemon_settings(configuration).machine.require_voltage(60.0, None)
 
@@ -76,9 +77,9 @@ def leaving(configuration: Configuration) -> Iterator[str]:
         with pytest.raises((RefusedError, ValueError)) as refusal:
             refuse()
         yield str(refusal.value)
-    yield machine.precharge_cause(1.0)
+    yield str(machine.precharge_cause(1.0))
     broken = Reading(0.0, 0.0, None, 1e3, math.nan, math.nan, 1.0, 0, bridge=True)
-    yield find_cause(broken, 0.01, trip_limits(configuration), 0.05) or ""
+    yield str(find_cause(broken, 0.01, trip_limits(configuration), 0.05))
     for component in discovery(profile, "homeassistant")[1]["components"].values():
         yield f"{component['name']} in {component.get('unit_of_measurement')}"
     state = {"manipulated": msgspec.to_builtins(profile.manipulated)}

@@ -57,12 +57,14 @@ class Drive:
     Attributes:
         asked: The requests.
         refusal: Reason of its refusals, empty to accept.
+        trip_kind: Kind of the trip for which it refuses.
         problem: Why it does not answer, empty to answer.
     """
 
     def __init__(self) -> None:
         self.asked: list[Request] = []
         self.refusal = self.problem = ""
+        self.trip_kind: str | None = None
         self.status = DriveStatus("online", {"state": "standby", "mode": "fixed"}, live=True)
 
     async def send(
@@ -73,7 +75,8 @@ class Drive:
         if self.problem:
             raise NoAnswerError(drive, self.problem)
         accepted = not self.refusal
-        return Reply("7", verb, accepted, self.refusal, State.RUNNING if accepted else None)
+        state = State.RUNNING if accepted else None
+        return Reply("7", verb, accepted, self.refusal, state, self.trip_kind)
 
     async def tell(self, _: Mqtt, drive: str, __: float) -> DriveStatus:
         if self.problem:
@@ -130,8 +133,14 @@ def test_a_refused_command_ends_with_1_and_the_reason(drive: Drive) -> None:
     refused = f"adaptdrive: bench refused setpoint: {drive.refusal}\n"
     assert outcome("setpoint", "bench", "9") == (1, "", refused)
     drive.refusal = "tripped (drive fault: word 0x3); reset first"
+    drive.trip_kind = "drive-fault"
     status, _, errors = outcome("enable", "bench")
-    assert (status, errors.count("adaptdrive: what to do: look the fault up")) == (1, 1)
+    advice = errors.splitlines()[1]
+    assert status == 1
+    assert advice.startswith("adaptdrive: what to do: look the fault up")
+    assert advice.endswith("  [drive-fault]")
+    drive.trip_kind = "of-a-later-version"
+    assert outcome("enable", "bench")[2].count("\n") == 2
 
 
 def test_a_reply_as_json_keeps_the_exit_status(drive: Drive) -> None:

@@ -4,27 +4,50 @@ from __future__ import annotations
 
 import pytest
 
-from adaptdrive.cli.display import describe, refusal_advice, site_table
+from adaptdrive.cli.display import describe, site_table
 from adaptdrive.mqtt.client import DriveStatus, decoded
 
-_STATE = ("state", "trip", "last_trip", "output", "waveform", "setpoint", "pole", "since")
+_STATE = (
+    "state",
+    "trip",
+    "trip_kind",
+    "last_trip",
+    "output",
+    "waveform",
+    "setpoint",
+    "pole",
+    "since",
+)
 _LOAD = ("estimates", "reference", "boost_reference_V", "k")
 _DRIVE = ("output", "age_s", "ticks", "load_power_W")
 
 
-@pytest.mark.parametrize(
-    ("reason", "advice"),
-    [
-        ("tripped (drive fault: word 0x3); reset first", "look the fault up"),
-        ("cause is still there: stale: measurement is 1272 ms old, limit 50 ms", "check the part"),
-        ("over-voltage: v_bst = 431 V, limit 430 V", "look for a load that feeds back"),
-        ("setpoint = 5 V is outside 0…4.5 V", ""),
-    ],
-)
-def test_a_refusal_for_a_trip_carries_its_remedy(reason: str, advice: str) -> None:
-    found = refusal_advice(reason)
-    assert found.startswith(advice)
-    assert bool(found) is bool(advice)
+TRIPPED = {
+    "state": "tripped",
+    "trip": "over-voltage: v_bst = 431 V, limit 430 V",
+    "trip_kind": "over-voltage",
+    "last_trip": {
+        "time": "2026-11-21T02:44:25.472279Z",
+        "kind": "over-voltage",
+        "text": "over-voltage: v_bst = 431 V, limit 430 V",
+        "remedy": "look for a load that feeds back",
+    },
+}
+
+
+def test_a_trip_is_shown_with_its_kind_and_its_remedy() -> None:
+    lines = describe("motor", DriveStatus("online", TRIPPED, live=True)).splitlines()
+    assert f"  trip        {TRIPPED['trip']}  [over-voltage]" in lines
+    assert "  remedy      look for a load that feeds back" in lines
+    table = site_table({"motor": DriveStatus("online", TRIPPED, live=True)})
+    assert "motor: what to do: look for a load that feeds back  [over-voltage]" in table
+
+
+def test_the_last_trip_is_shown_with_its_kind() -> None:
+    state = TRIPPED | {"state": "standby", "trip": None, "trip_kind": None}
+    lines = describe("motor", DriveStatus("online", state, live=True)).splitlines()
+    assert f"  last trip   2026-11-21T02:44:25Z: {TRIPPED['trip']}  [over-voltage]" in lines
+    assert "what to do" not in site_table({"motor": DriveStatus("online", state, live=True)})
 
 
 @pytest.mark.parametrize(

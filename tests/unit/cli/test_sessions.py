@@ -37,7 +37,9 @@ def state(tmp_path: Path) -> Path:
 
 
 def recorded(tmp_path: Path, dropped: Dropped) -> Path:
-    event = EventRow(INFO.started, 7, "trip", "alarm", "over-voltage: 431 V", 1.0, 1)
+    event = EventRow(
+        INFO.started, 7, "trip", "alarm", "over-voltage: 431 V", 1.0, 1, "over-voltage"
+    )
     return recorded_events(tmp_path, dropped, [event])
 
 
@@ -237,7 +239,8 @@ def test_an_unknown_kind_of_event_is_refused_with_the_known_ones(state: Path) ->
 
 def test_every_kind_of_event_is_known() -> None:
     event = re.compile(
-        r'\b(?:(?:publish_event|report|Event)\(\s*"([^"]+)",\s*(?:\w+\.)*[Ss]everity|_?warn\W\s*"([^"]+)")'
+        r'\b(?:(?:publish_event|report|Event)\(\s*"([^"]+)",\s*(?:\w+\.)*[Ss]everity|'
+        r'(?:publish_alarm|_?warn)\W\s*"([^"]+)")'
     )
     sources = [path.read_text() for path in Path(adaptdrive.__file__).parent.rglob("*.py")]
     found = {kind for source in sources for kinds in event.findall(source) for kind in kinds}
@@ -253,10 +256,11 @@ def test_sessions_and_events_are_read_by_programs(state: Path) -> None:
     assert (verdict["whole"], verdict["rows"]["ticks"]) == (False, 1000)
     events = json.loads(run(state, "events", "--json").stdout)
     assert [(one["kind"], one["detail"]) for one in events] == [("trip", "over-voltage: 431 V")]
+    assert events[0]["trip_kind"] == "over-voltage"
 
 
 def test_the_events_name_the_remedy_of_a_trip(state: Path) -> None:
     first, second = run(state, "events", "--kind", "trip").stdout.splitlines()
-    assert first.endswith("over-voltage: 431 V")
+    assert first.endswith("over-voltage: 431 V  [over-voltage]")
     assert "remedy" in second
     assert "wrong capacitance" in second

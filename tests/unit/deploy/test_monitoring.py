@@ -8,7 +8,9 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from adaptdrive.mqtt.contract import NO_TRIP
 from adaptdrive.runtime.reports import EVENT_KINDS
+from adaptdrive.safety.trips import TripKind
 from tools.pages.asyncapi import schema
 from tools.pages.topic_table import topics
 
@@ -40,6 +42,20 @@ def test_the_exporter_reads_keys_that_are_published() -> None:
     wanted = set(re.findall(r"mqtt_name: (\S+)", EXPORTER.read_text(encoding="utf-8")))
     assert len(wanted) > 10
     assert {key for key in wanted if not key.startswith("bus.")} <= PUBLISHED
+
+
+def trip_numbers() -> dict[str, int]:
+    """Return the number of each kind of trip, as the exporter publishes it."""
+    _, _, mapped = EXPORTER.read_text(encoding="utf-8").partition("      map:\n")
+    pairs = re.findall(r"^        ([a-z-]+): (\d+)$", mapped, re.MULTILINE)
+    return {kind: int(number) for kind, number in pairs}
+
+
+def test_the_exporter_has_a_number_of_its_own_for_each_kind_of_trip() -> None:
+    numbers = trip_numbers()
+    assert numbers.keys() == {NO_TRIP, *(kind.value for kind in TripKind)}
+    assert len(set(numbers.values())) == len(numbers)
+    assert numbers[NO_TRIP] == 0
 
 
 def test_telegraf_reads_topics_and_keys_that_are_published() -> None:

@@ -134,7 +134,7 @@ async def test_the_delta_dtb() -> None:
         assert bench.port.trip_cause is None
         node.put("holding", 0x1000, 0x8003)  # the sensor is not connected
         await bench.commands(
-            SAFE_COMMAND, lambda: "output: holding 4096" in bench.port.explain_age()
+            SAFE_COMMAND, lambda: "output: holding 4096" in str(bench.port.explain_age())
         )
 
 

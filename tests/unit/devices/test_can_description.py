@@ -23,6 +23,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.safety.interlocks import Limits, find_cause
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import ConfigurationError
 from tests.unit.devices.bench import (
     EXAMPLES,
@@ -162,8 +163,8 @@ async def test_names_of_the_value_tables_are_used_and_told(
     reading = ear.readings[-1]
     assert not reading.bridge
     limits = Limits(430.0, 5.0, "V")
-    assert find_cause(reading, reading.oldest_s, limits, 1.0) == (
-        "drive fault: FAULT_CODE Heat sink too hot (word 0x11)"
+    assert find_cause(reading, reading.oldest_s, limits, 1.0) == Trip(
+        TripKind.DRIVE_FAULT, "drive fault: FAULT_CODE Heat sink too hot (word 0x11)"
     )
 
 

@@ -12,6 +12,7 @@ from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.devices.faults import FaultLatch, FaultWord
 from adaptdrive.devices.polled.mapping import map_drive as map_registers
 from adaptdrive.devices.polled.reports import PollAssembly
+from tests.support import text_of
 from tests.unit.config.modbus_documents import flaws, parse
 from tests.unit.devices.bench import MOTOR_BUS, TIMING, motor_signals
 from tests.unit.devices.canopen.documents import flaws as object_flaws
@@ -28,7 +29,7 @@ def test_the_trip_names_signal_and_bit() -> None:
     latch = FaultLatch(WORDS)
     assert latch.trip_cause is None
     latch.see({"fault.0": float(0x100)})
-    assert latch.trip_cause == "drive fault: Post_Lo bit 8 hw_overcurrent (word 0x100)"
+    assert text_of(latch.trip_cause) == "drive fault: Post_Lo bit 8 hw_overcurrent (word 0x100)"
     latch.see({"fault.1": float(0xF2)})  # bits outside its mask are no faults
     latch.see({"fault.2": 5.0})
     latch.see({"fault.2": 3.0})
@@ -53,10 +54,10 @@ def test_a_value_that_is_healthy_is_no_fault_and_each_other_one_is_a_code() -> N
     latch.see({"fault": 65.0})
     latch.see({"fault": 61.0})
     latch.see({"fault": 64.0})
-    assert latch.trip_cause == "drive fault: state Open (word 0x41)"
+    assert text_of(latch.trip_cause) == "drive fault: state Open (word 0x41)"
     latch.clear(latch.word)
     latch.see({"fault": 64.0})
-    assert latch.trip_cause == "drive fault: state 64 (word 0x40)"
+    assert text_of(latch.trip_cause) == "drive fault: state 64 (word 0x40)"
 
 
 @given(st.lists(st.integers(1, 0xFFFF), min_size=1, max_size=4))
@@ -247,4 +248,4 @@ def test_a_file_names_the_values_of_a_code() -> None:
     latch.see({"fault": float(0)})
     assert latch.trip_cause is None
     latch.see({"fault": float(0x22B0)})
-    assert latch.trip_cause == "drive fault: 0x603F over-current (word 0x22b0)"
+    assert text_of(latch.trip_cause) == "drive fault: 0x603F over-current (word 0x22b0)"

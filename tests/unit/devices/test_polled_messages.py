@@ -19,6 +19,7 @@ from adaptdrive.devices.can.kind import build_can_sensors
 from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.interlocks import Limits, find_cause
+from tests.support import text_of
 from tests.unit.devices.bench import (
     LOAD,
     PATIENCE_S,
@@ -143,7 +144,8 @@ async def test_a_drive_that_answers_only_is_read_each_half_cycle_until_it_is_sil
 
 
 def cause(port: can_port.Port, reading: Reading) -> str | None:
-    return find_cause(reading, asyncio.get_running_loop().time(), LIMITS, 0.05, port.explain_age)
+    now_s = asyncio.get_running_loop().time()
+    return text_of(find_cause(reading, now_s, LIMITS, 0.05, port.explain_age))
 
 
 async def test_a_remote_frame_has_the_length_that_the_dbc_states(
@@ -245,7 +247,7 @@ async def test_a_short_frame_is_refused_with_its_message_its_dlc_and_what_is_nee
             drive.put("DriveLoad", drive.frame("DriveLoad", **LOAD)[:7])
             drive.put("DriveStatus", drive.frame("DriveStatus", **STATUS)[:5])
             await until(lambda: port.statistics.wrong_length == 1)
-            assert "(wrong_length, 1 in a row): DLC 5, needed 7: " in port.explain_age()
+            assert "(wrong_length, 1 in a row): DLC 5, needed 7: " in str(port.explain_age())
             (refused,) = port.details()
             assert refused.startswith("refused 0x100 (DriveStatus): wrong_length 1 x, last [")
             drive.put("DriveStatus", drive.frame("DriveStatus", **STATUS)[:7])

@@ -162,7 +162,7 @@ async def test_a_sensor_that_falls_silent_trips_at_its_own_limit_however_fresh_t
         one.frames(10)
         assert one.loop.ticks == ticks + 10
         assert one.state() is State.TRIPPED
-        assert (one.machine.trip or "").startswith("stale: thermo.hot is 50")
+        assert str(one.machine.trip).startswith("stale: thermo.hot is 50")
         assert one.sent[-1] == SAFE_COMMAND
         with pytest.raises(RefusedError, match="cause is still there: stale"):
             one.ask(Reset())
@@ -181,7 +181,7 @@ async def test_half_of_the_values_do_not_make_the_others_younger() -> None:
             one.say(hot=302.5)
             one.frames(1)
         assert one.machine.state is State.TRIPPED
-        assert "thermo.cold is 50" in (one.machine.trip or "")
+        assert "thermo.cold is 50" in str(one.machine.trip)
 
 
 async def test_a_value_that_comes_late_is_as_old_as_its_measurement() -> None:
@@ -198,7 +198,7 @@ async def test_loss_and_return_of_a_sensor_bus_are_told_with_its_name() -> None:
         one.bus.on_bus(up=False, detail="unplugged")
         one.frames(1)
         assert one.told == [(False, "sensor bus thermo: unplugged")]
-        assert one.port.trip_cause == "stale: thermo.hot: no measurement yet (unplugged)"
+        assert str(one.port.trip_cause) == "stale: thermo.hot: no measurement yet (unplugged)"
         report = sensor_report(one.bus, 0.0)
         assert (report.up, report.detail, report.values) == (False, "unplugged", {})
 

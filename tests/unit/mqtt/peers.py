@@ -37,6 +37,7 @@ from adaptdrive.runtime.reports import (
     StateReport,
 )
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import RefusedError
 from tests.support import Broker
 from tests.unit.mqtt.logs import keeping
@@ -54,6 +55,8 @@ STANDBY = StateReport(
     pole=0.7,
     trip=None,
 )
+
+OVER_VOLTAGE = Trip(TripKind.OVER_VOLTAGE, "over-voltage: v_bst = 431.2 V, limit 430 V")
 
 
 @dataclass
@@ -79,13 +82,14 @@ class RememberingHost:
         if isinstance(request, Enable):
             self.show(replace(self.report, state=State.RUNNING))
         if isinstance(request, Reset):
-            self.show(replace(self.report, state=State.STANDBY, trip=None))
+            self.show(replace(self.report, state=State.STANDBY, trip=None, trip_kind=None))
         if isinstance(request, SetMode):
             self.show(replace(self.report, mode=request.value))
         return self.report.state
 
-    def trip(self, cause: str) -> None:
-        self.show(replace(self.report, state=State.TRIPPED, trip=cause))
+    def trip(self, cause: Trip) -> None:
+        told = replace(self.report, trip=cause.text, trip_kind=cause.kind)
+        self.show(replace(told, state=State.TRIPPED))
 
     def stop(self) -> State:
         self.asked.append(Disable())

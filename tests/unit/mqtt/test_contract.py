@@ -10,9 +10,11 @@ import pytest
 from adaptdrive.control.signals import Shape, Waveform
 from adaptdrive.mqtt.commands import FORMS
 from adaptdrive.runtime.reports import Event, Severity, State
+from adaptdrive.safety.trips import TripKind
 from tests.unit.mqtt.contract import validators
 from tests.unit.mqtt.memory_broker import MemoryBroker
 from tests.unit.mqtt.peers import (
+    OVER_VOLTAGE,
     STANDBY,
     Heard,
     drive_report,
@@ -56,11 +58,11 @@ async def test_every_message_of_a_service_fits_its_schema(
     ):
         wave = Waveform(Shape.SINE, 1.0, 2.0, 60.0)
         bench.host.show(replace(STANDBY, state=State.RUNNING, waveform=wave))
-        bench.host.trip("over-voltage: v_bst = 431 V, limit 430 V")
+        bench.host.trip(OVER_VOLTAGE)
         bench.hub.publish(load_report(7))
         bench.hub.publish(drive_report(840))
         bench.hub.publish(replace(drive_report(0), measurement=None, age_s=float("nan")))
-        bench.hub.publish(Event("trip", Severity.ALARM, "slow loop: no decision for three", 1))
+        bench.hub.publish(Event("trip", Severity.ALARM, "slow loop", 1, TripKind.SLOW_LOOP))
         for payload in ("", "{}", '{"id": 7}', '{"id": "a", "value": 1}'):
             await publish(broker, bench.topic("command/setpoint"), payload)
         await publish(broker, bench.topic("ask/history"), "")

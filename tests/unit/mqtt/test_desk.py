@@ -23,6 +23,7 @@ from adaptdrive.mqtt.desk import (
 )
 from adaptdrive.runtime.reports import CommandReport, State
 from adaptdrive.runtime.requests import Request
+from adaptdrive.safety.trips import Trip
 from adaptdrive.util.errors import RefusedError
 from tests.support import captured_lines
 from tests.unit.mqtt.logs import Time, remembering
@@ -33,6 +34,7 @@ class RefusingHost:
     """A drive that notes each request, and refuses or delays it where a test sets that."""
 
     refusal: str = ""
+    trip_kind: str = ""
     ending: bool = False
     state: State = State.STANDBY
     done: list[str] = field(default_factory=list)
@@ -44,13 +46,13 @@ class RefusingHost:
         self.asked.set()
         await self.free.wait()
         if self.refusal:
-            raise RefusedError(self.refusal)
+            raise RefusedError(self.refusal, self.trip_kind)
         self.done.append(request.verb)
         self.state = State.RUNNING
         self.answered.set()
         return self.state
 
-    def trip(self, cause: str) -> None:
+    def trip(self, cause: Trip) -> None:
         raise AssertionError(cause)
 
     def stop(self) -> State:
@@ -138,6 +140,15 @@ async def test_a_command_acts_once_and_each_repeat_hears_the_first_reply(office:
     assert await office.send("enable", {"id": "a"}) == first
     assert office.host.done == ["enable"]
     assert [one.id for one in office.reports] == ["a"]
+
+
+async def test_a_refusal_for_a_trip_names_its_kind_and_so_does_each_repeat(office: Office) -> None:
+    office.host.refusal, office.host.trip_kind = "tripped (…); reset first", "over-voltage"
+    first = await office.send("enable", {"id": "a"})
+    assert (first.accepted, first.trip_kind) == (False, "over-voltage")
+    assert await office.send("enable", {"id": "a"}) == first
+    office.host.refusal, office.host.trip_kind = "pole = 2 is outside 0.5…0.97", ""
+    assert (await office.send("pole", {"id": "b", "value": 2})).trip_kind is None
 
 
 async def test_an_id_of_another_verb_is_refused_and_does_nothing(office: Office) -> None:

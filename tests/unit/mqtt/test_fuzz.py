@@ -23,6 +23,7 @@ from adaptdrive.mqtt.desk import Desk, LogRation, ReplyMemory
 from adaptdrive.runtime.reports import Hub, State
 from adaptdrive.runtime.requests import REQUESTS, Disable, Enable, Request, SetMode
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.safety.trips import Trip
 from tests.unit.mqtt.contract import validators
 from tests.unit.runtime.test_machine import LIMITS
 
@@ -70,7 +71,7 @@ class VirtualHost:
         self.machine.carry_out(request, 5, 3.0, None, 300.0)
         return self.machine.state
 
-    def trip(self, cause: str) -> None:
+    def trip(self, cause: Trip) -> None:
         raise AssertionError(cause)
 
     def stop(self) -> State:

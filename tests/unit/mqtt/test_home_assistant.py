@@ -17,10 +17,12 @@ from adaptdrive.mqtt.commands import Payload
 from adaptdrive.mqtt.contract import Output, encode
 from adaptdrive.mqtt.service import discovery
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
+from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.quantity import Given
 from tests.unit.mqtt.contract import validators
 from tests.unit.mqtt.memory_broker import MemoryBroker
 from tests.unit.mqtt.peers import (
+    OVER_VOLTAGE,
     ask,
     drive_report,
     listening,
@@ -138,7 +140,7 @@ async def test_what_home_assistant_shows_is_in_the_messages(
         load = await ear.on(bench.topic("telemetry/load"))
         bench.hub.publish(drive_report(9))
         drive = await ear.on(bench.topic("telemetry/drive"))
-        bench.host.trip("over-voltage: v_bst = 431 V, limit 430 V")
+        bench.host.trip(OVER_VOLTAGE)
         tripped = await ear.until(lambda message: '"tripped"' in message.payload)
         refused = await ask(bench, "setpoint", '{"id": "ha-1", "value": 9}')
     contents = {one.topic: one.content for one in (load, drive, tripped)}
@@ -158,8 +160,12 @@ async def test_what_home_assistant_shows_is_in_the_messages(
         "mode": "fixed",
         "setpoint": "0.0",
         "refused": f"setpoint: {refused['reason']}",
-        "last_trip": "over-voltage: v_bst = 431 V, limit 430 V",
+        "trip_kind": "over-voltage",
+        "last_trip": OVER_VOLTAGE.text,
     }
+    kind = payload["components"]["trip_kind"]
+    assert rendered(kind["value_template"], value_json={"trip_kind": None}) == "none"
+    assert kind["options"] == ["none", *(one.value for one in TripKind)]
     attributes = payload["components"]["last_trip"]["json_attributes_template"]
     assert "remedy" in json.loads(rendered(attributes, value_json=tripped.content))
     assert rendered(attributes, value_json={"last_trip": None}) == "{}"

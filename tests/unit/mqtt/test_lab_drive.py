@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
 from typing import Any
 
 import pytest
+from aiomqtt import Message
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.lab import Drive
 from adaptdrive.mqtt.client import NoAnswerError, follow
-from tests.unit.mqtt.memory_broker import MemoryBroker
+from adaptdrive.mqtt.contract import Reply, encode
+from adaptdrive.runtime.reports import State
+from adaptdrive.util.errors import RefusedError
+from tests.unit.mqtt.memory_broker import MemoryBroker, MemoryClient
 
 
 def leave_behind(broker: MemoryBroker, availability: str) -> None:
@@ -36,6 +41,30 @@ async def test_the_state_of_a_daemon_that_is_gone_is_no_state(
     leave_behind(broker, availability)
     with pytest.raises(NoAnswerError, match=problem):
         await Drive("motor", Mqtt()).state()
+
+
+@pytest.mark.parametrize("kind", ["over-voltage", "of-a-later-version", None])
+async def test_a_refusal_for_a_trip_names_its_kind(broker: MemoryBroker, kind: str | None) -> None:
+    client = MemoryClient(broker)
+
+    def refuse(message: Message) -> None:
+        asked = json.loads(bytes(message.payload))
+        reply = Reply(asked["id"], "reset", False, "no", State.TRIPPED, kind)
+        broker.publish("adaptdrive/motor/reply", encode(reply))
+
+    async def talk() -> None:
+        while True:
+            broker.publish("adaptdrive/motor/telemetry/drive", b'{"time": "2026-11-21T01:22:09Z"}')
+            await asyncio.sleep(0.5)
+
+    client.receive = refuse
+    async with client:
+        await client.subscribe("adaptdrive/motor/command/#")
+        talking = asyncio.create_task(talk())
+        with pytest.raises(RefusedError) as refusal:
+            await Drive("motor", Mqtt()).reset()
+        talking.cancel()
+    assert refusal.value.kind == (kind or "")
 
 
 async def test_telemetry_that_the_broker_has_kept_is_shown_nowhere(broker: MemoryBroker) -> None:

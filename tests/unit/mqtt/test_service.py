@@ -28,8 +28,10 @@ from adaptdrive.runtime.requests import (
     SetVoltage,
     SetWaveform,
 )
+from adaptdrive.safety.trips import Trip, TripKind
 from tests.unit.mqtt.memory_broker import MemoryBroker
 from tests.unit.mqtt.peers import (
+    OVER_VOLTAGE,
     STANDBY,
     Bench,
     Heard,
@@ -70,7 +72,8 @@ async def test_a_command_acts_and_is_answered(
 ) -> None:
     reply = await ask(bench, verb, json.dumps({"id": "a", "value": value}))
     state = "running" if verb == "enable" else "standby"
-    assert reply == {"id": "a", "verb": verb, "accepted": True, "reason": "", "state": state}
+    told = {"id": "a", "verb": verb, "accepted": True, "reason": "", "state": state}
+    assert reply == told | {"trip_kind": None}
     assert bench.host.asked == [request_]
 
 
@@ -120,7 +123,8 @@ async def test_a_command_that_breaks_a_rule_is_refused_and_changes_nothing(
 ) -> None:
     reply = await ask(bench, verb, payload)
     assert reason in reply.pop("reason")
-    assert reply == {"id": "x", "verb": verb, "accepted": False, "state": "standby"}
+    told = {"id": "x", "verb": verb, "accepted": False, "state": "standby"}
+    assert reply == told | {"trip_kind": None}
     assert bench.host.asked == []
 
 
@@ -235,22 +239,23 @@ async def test_since_is_the_time_of_the_state_not_of_any_change(
 
 
 async def test_the_last_trip_stays_with_its_remedy_after_a_reset(bench: Bench) -> None:
-    cause = "over-voltage: v_bst = 431.2 V, limit 430 V"
     async with listening(bench.broker, bench.topic("state")) as ear:
         first = (await ear.on(bench.topic("state"))).content
-        bench.host.trip(cause)
+        bench.host.trip(OVER_VOLTAGE)
         tripped = (await ear.until(lambda message: message.content["trip"])).content
         bench.host.show(STANDBY)
         reset = (await ear.until(lambda message: not message.content["trip"])).content
     assert first["last_trip"] is None
     assert tripped["last_trip"] == reset["last_trip"]
-    assert tripped["last_trip"]["text"] == cause
+    assert (first["trip_kind"], tripped["trip_kind"]) == (None, "over-voltage")
+    assert tripped["last_trip"]["text"] == OVER_VOLTAGE.text
+    assert tripped["last_trip"]["kind"] == "over-voltage"
     assert "wrong capacitance" in tripped["last_trip"]["remedy"]
     assert tripped["last_trip"]["time"] == tripped["since"]
 
 
 async def test_the_last_trip_survives_a_restart(broker: MemoryBroker, tmp_path: Path) -> None:
-    cause = "over-voltage: v_bst = 431.2 V, limit 430 V"
+    trip = Event("trip", Severity.ALARM, OVER_VOLTAGE.text, 1, OVER_VOLTAGE.kind)
 
     def tripped(message: Heard) -> bool:
         return message.content["last_trip"] is not None
@@ -259,20 +264,50 @@ async def test_the_last_trip_survives_a_restart(broker: MemoryBroker, tmp_path: 
         serving(broker, "tripped", tmp_path) as bench,
         listening(bench.broker, bench.topic("state")) as ear,
     ):
-        bench.host.trip(cause)
-        bench.hub.publish(Event("trip", Severity.ALARM, cause, 1))  # as the runtime does
+        bench.host.trip(OVER_VOLTAGE)
+        bench.hub.publish(trip)  # as the runtime does
         before = (await ear.until(tripped)).content["last_trip"]
     async with (
         serving(broker, "tripped", tmp_path) as bench,
         listening(bench.broker, bench.topic("state")) as ear,
     ):
         first = (await ear.until(tripped)).content
-        assert first["last_trip"]["text"] == before["text"]
-        assert first["last_trip"]["remedy"] == before["remedy"]
+        for key in ("kind", "text", "remedy"):
+            assert first["last_trip"][key] == before[key]
         assert first["state"] == "standby"
-        bench.host.trip("stale: measurement is 54 ms old, limit 50 ms")
-        second = await ear.until(lambda message: message.content["last_trip"]["text"] != cause)
+        bench.host.trip(Trip(TripKind.STALE, "stale: measurement is 54 ms old, limit 50 ms"))
+        second = await ear.until(lambda message: message.content["trip"])
         assert second.content["last_trip"]["text"].startswith("stale")
+        assert second.content["last_trip"]["kind"] == "stale"
+
+
+async def test_telemetry_names_the_kind_of_the_latched_trip_until_it_is_reset(bench: Bench) -> None:
+    async with listening(bench.broker, bench.topic("telemetry/drive")) as ear:
+
+        async def kind_at(ticks: int) -> object:
+            bench.hub.publish(drive_report(ticks))
+            told = await ear.until(lambda message: message.content["ticks"] == ticks)
+            return told.content["trip_kind"]
+
+        before = await kind_at(1)
+        bench.host.trip(OVER_VOLTAGE)
+        tripped = await kind_at(2)
+        bench.host.show(STANDBY)
+        after = await kind_at(3)
+    assert (before, tripped, after) == ("none", "over-voltage", "none")
+
+
+async def test_the_event_of_a_trip_names_its_kind_and_its_remedy(bench: Bench) -> None:
+    async with listening(bench.broker, bench.topic("event")) as ear:
+        bench.hub.publish(
+            Event("trip", Severity.ALARM, "over-voltage: 431 V", 1, OVER_VOLTAGE.kind)
+        )
+        bench.hub.publish(Event("bus", Severity.WARNING, "over-voltage: 431 V", 1))
+        trip = await ear.until(lambda message: message.content["kind"] == "trip")
+        other = await ear.until(lambda message: message.content["kind"] == "bus")
+    assert trip.content["trip_kind"] == "over-voltage"
+    assert "wrong capacitance" in trip.content["remedy"]
+    assert (other.content["trip_kind"], other.content["remedy"]) == (None, "")
 
 
 async def test_the_fast_loop_is_heard_at_most_ten_times_a_second(bench: Bench) -> None:

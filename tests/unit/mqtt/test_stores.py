@@ -18,6 +18,7 @@ from adaptdrive.recording.journal_files import EVENTS, log_files, recall
 from adaptdrive.recording.records import EventRow, Kind
 from adaptdrive.runtime.reports import Hub, State
 from adaptdrive.runtime.requests import Request
+from adaptdrive.safety.trips import Trip
 from tests.unit.mqtt.logs import Time, memory_of, open_log, remembering
 from tests.unit.recording.disk import Disk
 
@@ -180,7 +181,7 @@ class DyingHost:
     def stop(self) -> State:
         return State.STANDBY
 
-    def trip(self, cause: str) -> None:
+    def trip(self, cause: Trip) -> None:
         raise AssertionError(cause)
 
 

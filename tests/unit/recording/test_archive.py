@@ -19,6 +19,7 @@ from adaptdrive.recording.session import (
     read_info,
     session_directories,
 )
+from adaptdrive.safety.trips import TripKind, advices, remedy
 from adaptdrive.util.errors import RecordingError
 from tests.unit.recording.material import (
     INFO,
@@ -257,6 +258,20 @@ def test_the_record_of_a_trip_has_a_minute_before_it_and_ten_seconds_after(place
     assert read_info(trip).first_sequence == 1200
     assert verify(read_session(trip)).whole
     assert (trip / "trip.txt").read_text().startswith("number 1\n")
+
+
+def test_the_record_of_a_trip_names_its_kind_its_remedy_and_a_page(place: Place) -> None:
+    place.begin()
+    trip = msgspec.structs.replace(event(1, "trip", 100.0), trip_kind="over-voltage")
+    batch = make_batch([make_tick(number) for number in range(10)])
+    place.add(msgspec.structs.replace(batch, events=[trip]))
+    place.next_start()
+    (record,) = trips_of(place)
+    lines = (record / "trip.txt").read_text(encoding="utf-8").splitlines()
+    advice = advices()[TripKind.OVER_VOLTAGE]
+    assert "kind: over-voltage" in lines
+    assert f"remedy: {remedy(TripKind.OVER_VOLTAGE)}" in lines
+    assert f"page: {advice.page}" in lines
 
 
 def test_a_trip_whose_time_is_in_two_segments_has_one_record(place: Place) -> None:

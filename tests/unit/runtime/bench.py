@@ -32,6 +32,7 @@ from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.trips import Trip
 from tests.loopback_port import LoopbackPort
 
 MOTOR = load_configuration(Path(__file__).parents[3] / "deploy" / "examples" / "motor.toml")
@@ -112,7 +113,7 @@ class Around:
     reports: list[TickReport] = field(default_factory=list)
     snapshots: list[Snapshot] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
-    not_stops: list[str] = field(default_factory=list)
+    not_stops: list[Trip] = field(default_factory=list)
     room: bool = True
     runs_ended: int = 0
 
@@ -135,8 +136,8 @@ class Around:
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
         self.decisions.append(decision)
 
-    def not_stopped(self, detail: str) -> None:
-        self.not_stops.append(detail)
+    def not_stopped(self, problem: Trip) -> None:
+        self.not_stops.append(problem)
 
     def run_ended(self) -> None:
         self.runs_ended += 1
@@ -269,7 +270,7 @@ class FastBench:
     @property
     def trip(self) -> str:
         """Why it has tripped; empty while it has not."""
-        return self.machine.trip or ""
+        return "" if self.machine.trip is None else self.machine.trip.text
 
     def start(self) -> None:
         """Wait until the frame rate is known, enable the drive and wait until it runs."""

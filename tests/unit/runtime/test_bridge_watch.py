@@ -10,6 +10,7 @@ import pytest
 
 from adaptdrive.runtime.stopping import BridgeWatch
 from adaptdrive.safety.timing import Timing
+from tests.support import text_of
 from tests.unit.runtime.bench import CALM
 
 TICK_S = 2.0**-7
@@ -80,13 +81,14 @@ class Seen:
             bridge=bridge,
             bridge_s=None if reported is None else now_s - reported * TICK_S,
         )
-        self.cause = self.watch.find_cause(
+        cause = self.watch.find_cause(
             reading,
             commanded=how.get("commanded", True),
             due=how.get("due", True),
             unwatched_s=how.get("unwatched", 1.0) * TICK_S,
             now_s=now_s,
         )
+        self.cause = text_of(cause)
         if self.cause is not None:
             return "!"
         return "?" if self.watch.must_report(0.0) else "."

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from adaptdrive.runtime.timebase import HalfCycles
 from adaptdrive.safety.counter import CounterWatch
+from adaptdrive.safety.trips import Trip, TripKind
+from tests.support import text_of
 
 TICK_S = 2.0**-7
 """A half cycle whose multiples are exact."""
@@ -88,7 +90,7 @@ def test_a_drive_that_starts_anew_is_found_within_four_frames(
         add(watch, modulus, frame)
         assert chance or watch.may_have_restarted
     cause = watch.find_cause(commanded=True)
-    assert chance or (cause or "").startswith("drive restarted: its half-cycle counter began anew")
+    assert chance or str(cause).startswith("drive restarted: its half-cycle counter began anew")
 
 
 @given(
@@ -157,9 +159,8 @@ def test_the_trip_names_both_counts() -> None:
     watch = begun(65536, 41_200)
     for frame in in_step(41_207, 3, 4):
         add(watch, 65536, frame)
-    assert watch.find_cause(commanded=True) == (
-        "drive restarted: its half-cycle counter began anew, 3 where 41207 was due"
-    )
+    text = "drive restarted: its half-cycle counter began anew, 3 where 41207 was due"
+    assert watch.find_cause(commanded=True) == Trip(TripKind.DRIVE_RESTARTED, text)
 
 
 def test_time_is_that_of_the_measured_half_cycle() -> None:
@@ -294,5 +295,5 @@ def test_counts_that_are_repeated_in_turn_stand_or_are_those_of_a_restart(
         base.place(count % modulus, arrival * TICK_S, -1)
         if base.rate.standing_s > stale * TICK_S:
             verdicts.append("stands")
-        verdicts += filter(None, [base.counts.find_cause(commanded=True)])
+        verdicts += filter(None, [text_of(base.counts.find_cause(commanded=True))])
     assert verdicts[0].startswith(found or ("stands", "drive restarted"))

@@ -39,6 +39,7 @@ from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.util.clock import uncaught_errors_end
 from adaptdrive.util.errors import BusError, RefusedError
 from tests.loopback_port import LoopbackPort
+from tests.support import a_trip
 from tests.unit.runtime.bench import CALM, SETTINGS, LoopTimer, MotorController, Q, until
 
 # Frames are delivered by hand, as fast as they go: neither timer nor age may interfere.
@@ -140,7 +141,7 @@ class DaemonBench:
 
     async def prepare(self, _: Reload) -> Callable[[], None]:
         """Read the file again, while something beside the drive fails."""
-        self.daemon.trip(OUTSIDE)
+        self.daemon.trip(a_trip(OUTSIDE))
         return self.stop.set
 
     async def start(self) -> None:
@@ -231,7 +232,7 @@ async def test_the_state_is_reported_when_it_changes_and_only_then() -> None:
 
 async def test_only_the_operators_reset_lets_the_drive_leave_its_fault() -> None:
     async with running_daemon() as bench:
-        bench.port.trip_cause = "drive fault"
+        bench.port.trip_cause = a_trip("drive fault")
         bench.frames(2)
         assert bench.states[-1].trip == "drive fault"
         for request in (Disable(), SetMode(Mode.ADAPTIVE)):
@@ -246,7 +247,7 @@ async def test_a_drive_that_keeps_its_fault_refuses_the_reset() -> None:
     async with daemon_bench() as bench:
         bench.port.keeps_fault = True
         bench.frames(2)
-        bench.port.trip_cause = "drive fault"
+        bench.port.trip_cause = a_trip("drive fault")
         with pytest.raises(RefusedError, match="drive fault"):
             await bench.daemon.execute(Enable())
         await bench.daemon.execute(Reset())  # nothing is latched here: standby is not left
@@ -296,7 +297,7 @@ async def test_a_disable_and_a_trip_from_outside_wait_for_no_tick(trip: str | No
     async with running_daemon() as bench:
         assert bench.sent[-1].bridge
         if trip:
-            bench.daemon.trip(trip)
+            bench.daemon.trip(a_trip(trip))
         else:
             await bench.daemon.execute(Disable())
         assert bench.sent[-1] == SAFE_COMMAND
@@ -366,7 +367,11 @@ async def test_taking_over_and_falling_back_are_events() -> None:
 
 
 @pytest.mark.parametrize(
-    ("found", "trip"), [({"fault": "cell too warm"}, "cell too warm"), ({"complete": True}, None)]
+    ("found", "trip"),
+    [
+        ({"fault": "cell too warm", "fault_kind": "no-current"}, "cell too warm"),
+        ({"complete": True}, None),
+    ],
 )
 async def test_a_load_with_a_fault_trips_and_one_that_has_enough_is_switched_off(
     found: dict[str, object], trip: str | None

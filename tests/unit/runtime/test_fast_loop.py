@@ -76,7 +76,7 @@ async def test_a_fault_that_one_late_frame_alone_shows_trips() -> None:
         bench.frame(after_s=1.7 * TICK_S, fault=8)
         bench.frame(after_s=0.3 * TICK_S)
         assert bench.state() is State.TRIPPED
-        assert bench.machine.trip == "drive fault: word 0x8"
+        assert str(bench.machine.trip) == "drive fault: word 0x8"
         assert bench.sent[-1] == SAFE_COMMAND
 
 

@@ -18,6 +18,7 @@ from adaptdrive.runtime.requests import (
     SetSetpoint,
     SetWaveform,
 )
+from tests.support import a_trip
 from tests.unit.runtime.bench import (
     FAST,
     LATENCY,
@@ -106,7 +107,7 @@ async def test_a_decision_of_a_run_that_has_ended_is_dropped(
         if delivered == "before":
             bench.loop.deliver(taken, made)
         if trips:
-            bench.machine.latch("a test")
+            bench.machine.latch(a_trip("a test"))
         bench.ask(Disable())
         if delivered == "after":
             bench.loop.deliver(taken, made)

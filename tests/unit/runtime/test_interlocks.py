@@ -13,6 +13,8 @@ from adaptdrive.app.settings import daemon_settings
 from adaptdrive.config import load_configuration
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.interlocks import Limits, find_cause
+from adaptdrive.safety.trips import Trip, TripKind
+from tests.support import text_of
 from tests.unit.devices.bench import EXAMPLES
 from tests.unit.runtime.bench import CALM
 
@@ -30,7 +32,8 @@ ANY = st.floats(allow_nan=True, allow_infinity=True)
 
 
 def cause_of(**changes: object) -> str | None:
-    return find_cause(replace(GOOD, **changes), NOW_S, LIMITS, STALE_S)  # type: ignore[arg-type]
+    cause = find_cause(replace(GOOD, **changes), NOW_S, LIMITS, STALE_S)  # type: ignore[arg-type]
+    return text_of(cause)
 
 
 @pytest.mark.parametrize("output", [GOOD.output, 5.0, -1.0])
@@ -109,7 +112,7 @@ def test_the_trip_names_the_output_as_the_configuration_does(example: str, text:
     limits = daemon_settings(load_configuration(EXAMPLES / f"{example}.toml")).fast.limits
     cause = find_cause(replace(GOOD, output=99.0), NOW_S, limits, STALE_S)
     assert cause is not None
-    assert text in cause
+    assert text in str(cause)
 
 
 @pytest.mark.parametrize(("example", "lowest"), [("motor", -1.125), ("bath", -3.625)])
@@ -119,14 +122,13 @@ def test_without_a_limit_below_a_quarter_of_the_range_is_one(example: str, lowes
 
 
 def test_a_stale_reading_is_explained_and_no_other() -> None:
-    def explain() -> str:
-        return "output (DriveLoad) is the oldest value"
+    def explain() -> Trip:
+        return Trip(TripKind.NO_MESSAGE, "output (DriveLoad) is the oldest value")
 
     stale = replace(GOOD, oldest_s=NOW_S - 0.051)
     cause = find_cause(stale, NOW_S, LIMITS, STALE_S, explain)
-    assert cause == f"stale: measurement is 51 ms old, limit 50 ms; {explain()}"
-    assert (
-        find_cause(None, NOW_S, LIMITS, STALE_S, explain)
-        == f"stale: no measurement yet; {explain()}"
-    )
+    text = f"stale: measurement is 51 ms old, limit 50 ms; {explain()}"
+    assert cause == Trip(TripKind.NO_MESSAGE, text)
+    never = Trip(TripKind.NO_MESSAGE, f"stale: no measurement yet; {explain()}")
+    assert find_cause(None, NOW_S, LIMITS, STALE_S, explain) == never
     assert find_cause(GOOD, NOW_S, LIMITS, STALE_S, explain) is None

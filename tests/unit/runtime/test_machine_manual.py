@@ -25,7 +25,9 @@ from adaptdrive.runtime.requests import (
     SetWaveform,
 )
 from adaptdrive.runtime.settings import MachineLimits, ManualVoltage
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import RefusedError
+from tests.support import a_trip, text_of
 from tests.unit.runtime.test_machine import DRIVE, LIMITS, LOAD, REACH, SQUARE, Desk
 
 SLEW_V = 0.5
@@ -108,7 +110,7 @@ def test_a_trip_of_a_drive_that_is_off_is_reset_into_standby_unless_in_doubt() -
             assert desk.machine.obstacle == (
                 "coasting with the bridge off until a set-point within 2.2…4.4 V"
             )
-        desk.machine.latch("x")
+        desk.machine.latch(a_trip("x"))
         if doubted:
             desk.machine.withdraw_stop()
         desk.ask(Reset())
@@ -229,7 +231,7 @@ def test_an_operator_who_is_lost_trips_the_drive_when_the_time_is_over(
         desk.ask(then, output=3.0)
     desk.pass_ticks(ticks)
     told = "manual: no new voltage within the 0.1 s that its sender had set"
-    assert desk.machine.trip == (told if trips else None)
+    assert text_of(desk.machine.trip) == (told if trips else None)
 
 
 def test_without_governing_a_set_point_stays_as_it_was_asked_for() -> None:
@@ -331,9 +333,9 @@ def test_a_precharge_that_fails_names_voltage_time_and_remedy(*, needs_bridge: b
     bit = "bridge-and-boost" if needs_bridge else "bridge"
     limits = replace(LIMITS, drive=DRIVE.model_copy(update={"enable_bit": bit}))
     cause = limits.precharge_cause(171.04)
-    assert cause.startswith("precharge: v_bst = 171.0 V after 5 s, needs 200 V")
-    assert ("with its enable bit on" in cause) is needs_bridge
-    assert ("drive.enable_bit = 'bridge-and-boost'" in cause) is not needs_bridge
+    assert str(cause).startswith("precharge: v_bst = 171.0 V after 5 s, needs 200 V")
+    assert ("with its enable bit on" in str(cause)) is needs_bridge
+    assert ("drive.enable_bit = 'bridge-and-boost'" in str(cause)) is not needs_bridge
 
 
 @pytest.mark.parametrize(
@@ -371,6 +373,5 @@ def test_a_voltage_moves_by_its_slope_and_stops_at_its_target(sign: float) -> No
 def test_a_voltage_with_a_time_expires_after_it() -> None:
     moving = ManualVoltage(300.0, 300.0, since_tick=10, slew_V=0.5, hold_s=0.5, hold_ticks=60)
     assert moving.find_cause(70) is None
-    assert moving.find_cause(71) == (
-        "manual: no new voltage within the 0.5 s that its sender had set"
-    )
+    text = "manual: no new voltage within the 0.5 s that its sender had set"
+    assert moving.find_cause(71) == Trip(TripKind.OPERATOR_LOST, text)

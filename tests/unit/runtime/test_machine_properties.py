@@ -26,7 +26,9 @@ from adaptdrive.runtime.requests import (
     SetWaveform,
 )
 from adaptdrive.runtime.state_machine import Machine
+from adaptdrive.safety.trips import Trip
 from adaptdrive.util.errors import RefusedError
+from tests.support import a_trip
 from tests.unit.runtime.test_machine import LIMITS as PLAIN
 from tests.unit.runtime.test_machine import LOAD, REACH
 
@@ -41,7 +43,7 @@ WISHES = st.one_of(
     st.builds(SetVoltage, st.floats() | st.floats(200.0, 400.0), st.none() | ANY),
     st.builds(SetPole, ANY),
 )
-CAUSES = st.none() | st.sampled_from(["stale: x", "drive fault: x"])
+CAUSES = st.none() | st.sampled_from([a_trip("stale: x"), a_trip("drive fault: x")])
 ROUNDING = 1e-9
 
 
@@ -53,10 +55,10 @@ class AnyOperator(RuleBasedStateMachine):
         self.machine = Machine(LIMITS)
         self.tick = 0
         self.allowed = False
-        self.trip: str | None = None
+        self.trip: Trip | None = None
         self.stopped = True
 
-    def ask(self, request: Request, cause: str | None, output: float = 2.0) -> bool:
+    def ask(self, request: Request, cause: Trip | None, output: float = 2.0) -> bool:
         with contextlib.suppress(RefusedError):
             self.machine.carry_out(request, self.tick, output, cause)
             return True
@@ -71,7 +73,7 @@ class AnyOperator(RuleBasedStateMachine):
             self.note_trip()
 
     @rule(cause=CAUSES, output=st.floats(-10.0, 10.0))
-    def enable(self, cause: str | None, output: float) -> None:
+    def enable(self, cause: Trip | None, output: float) -> None:
         was_energised, was_stopping = self.machine.energised, self.machine.state is State.STOPPING
         accepted = self.ask(Enable(), cause, output)
         assert accepted == (
@@ -81,12 +83,12 @@ class AnyOperator(RuleBasedStateMachine):
         self.stopped &= not accepted
 
     @rule(cause=CAUSES)
-    def disable(self, cause: str | None) -> None:
+    def disable(self, cause: Trip | None) -> None:
         assert self.ask(Disable(), cause)
         self.allowed = False
 
     @rule(cause=CAUSES)
-    def reset(self, cause: str | None) -> None:
+    def reset(self, cause: Trip | None) -> None:
         accepted = self.ask(Reset(), cause)
         assert accepted == (self.trip is None or cause is None)
         if accepted:
@@ -94,7 +96,7 @@ class AnyOperator(RuleBasedStateMachine):
 
     @rule(cause=st.text(min_size=1, max_size=5))
     def latch(self, cause: str) -> None:
-        self.machine.latch(cause)
+        self.machine.latch(a_trip(cause))
         self.note_trip()
 
     @rule()
@@ -108,7 +110,7 @@ class AnyOperator(RuleBasedStateMachine):
         self.stopped = False
 
     @rule(wish=WISHES, cause=CAUSES)
-    def wish(self, wish: Request, cause: str | None) -> None:
+    def wish(self, wish: Request, cause: Trip | None) -> None:
         before, enabled = self.machine.state, self.machine.energised
         self.ask(wish, cause)
         assert self.machine.energised == enabled

@@ -52,7 +52,7 @@ def first_complaint(
         )
         said = watch.find_cause(reading)
         if said:
-            return number * period_s, said
+            return number * period_s, said.text
     return math.inf, ""
 
 

@@ -25,6 +25,7 @@ from adaptdrive.runtime.reports import (
 )
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.runtime.tick_support import ServiceManager
+from adaptdrive.safety.trips import Trip, TripKind
 from tests.unit.runtime.bench import (
     SETTINGS,
     MotorController,
@@ -128,7 +129,7 @@ async def test_a_full_queue_loses_its_oldest_and_counts() -> None:
 
 TRIP = "over-voltage: v_bst = 431.0 V, limit 430 V"
 LOST = "socketcan can0: [Errno 100] Network is down"
-STALE = "stale: measurement is 1272 ms old, limit 50 ms"
+STALE = Trip(TripKind.STALE, "stale: measurement is 1272 ms old, limit 50 ms")
 
 
 @pytest.mark.parametrize(
@@ -144,7 +145,7 @@ STALE = "stale: measurement is 1272 ms old, limit 50 ms"
     ],
 )
 def test_it_says_what_is_awaited(
-    state: State, bus_problem: str | None, cause: str | None, line: str
+    state: State, bus_problem: str | None, cause: Trip | None, line: str
 ) -> None:
     report = StateReport(
         state=state,

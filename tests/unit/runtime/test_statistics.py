@@ -127,7 +127,7 @@ def test_a_share_at_its_limit_is_a_cause_until_it_falls() -> None:
     assert port.share.cause is None
     port.pass_time(2.0 * WINDOW_S, received=20, wrong_checksum=11)
     assert port.share.cause is not None
-    assert port.share.cause.startswith("refused frames: drive: 55% of")
+    assert port.share.cause.text.startswith("refused frames: drive: 55% of")
     port.pass_time(2.0 * WINDOW_S, received=20)
     assert port.share.cause is None
 

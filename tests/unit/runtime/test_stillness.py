@@ -30,7 +30,7 @@ def first_complaint(
     for number, (output, voltage) in enumerate(zip(outputs, voltages, strict=True)):
         said = watch.advance(float(output), float(voltage), number * TICK_s)
         if said:
-            return number * TICK_s, said
+            return number * TICK_s, said.text
     return math.inf, ""
 
 
@@ -139,7 +139,7 @@ def derived_complaint(hot: np.ndarray, cold: np.ndarray, voltages: np.ndarray) -
         )
         said = watch.find_cause(reading)
         if said:
-            return number * TICK_s, said
+            return number * TICK_s, said.text
     return math.inf, ""
 
 

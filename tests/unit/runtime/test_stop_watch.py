@@ -14,6 +14,7 @@ from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
 from adaptdrive.runtime.stopping import Stop, StopWatch
 from adaptdrive.safety.timing import Timing
+from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import RefusedError
 from tests.unit.runtime.bench import (
     CALM,
@@ -119,9 +120,9 @@ async def test_a_stop_that_no_bus_takes_is_an_alarm(
 
 async def test_a_trip_that_does_not_stop_the_drive_keeps_its_cause(running: FastBench) -> None:
     running.frames(STOP_TICKS + 4, bridge=True, fault=4)
-    assert running.machine.trip == "drive fault: word 0x4"
+    assert str(running.machine.trip) == "drive fault: word 0x4"
     (alarm,) = running.around.not_stops
-    assert alarm.startswith("the drive does not stop: its bridge is still on")
+    assert alarm.text.startswith("the drive does not stop: its bridge is still on")
     running.frame(bridge=True)
     with pytest.raises(RefusedError, match="bridge is on"):
         running.ask(Reset())
@@ -224,14 +225,14 @@ async def test_a_bridge_that_chatters_after_a_trip_is_one_alarm(
         chatter(running, 3)
         assert chatter(running, frames) == {StopWord.MISSING}
         assert len(alarms) == number
-        assert "although this daemon did not command it" in alarms[-1]
+        assert "although this daemon did not command it" in alarms[-1].text
         words = set()
         for _ in range(STOP_TICKS - 1):
             running.frame(bridge=False)
             words.add(running.loop.stopping.status)
         assert words == {StopWord.MISSING}
         running.frames(3)
-    assert running.machine.trip == "drive fault: word 0x4"
+    assert str(running.machine.trip) == "drive fault: word 0x4"
 
 
 async def test_a_drive_whose_last_word_is_that_its_bridge_is_on_is_no_stopped_one() -> None:
@@ -365,8 +366,9 @@ def test_a_bridge_that_has_been_on_and_went_off_by_itself_is_off_at_once(
 
 
 def test_the_reason_names_the_time_since_the_stop() -> None:
-    why = stopped().unconfirmed_text(None, math.inf, STOP_S + 2.0)
-    assert why.startswith("it has not taken the safe command 2000 ms after the stop; ")
+    why = stopped().unconfirmed(None, math.inf, STOP_S + 2.0)
+    assert why.kind is TripKind.STOP_NOT_TAKEN
+    assert ": it has not taken the safe command 2000 ms after the stop; " in why.text
 
 
 async def test_the_word_of_the_stop_before_is_void_in_the_tick_of_a_trip(

@@ -144,8 +144,9 @@ def test_the_scale_follows_what_is_shown() -> None:
 
 def test_a_trip_is_shown_with_its_remedy() -> None:
     last = {"time": "x", "text": "over-voltage", "remedy": "look for a load that feeds back"}
-    text = "\n".join(shown(live_record(Clock(), trip="over-voltage", last_trip=last)))
-    assert "trip: over-voltage" in text
+    tripped = live_record(Clock(), trip="v = 9", trip_kind="over-voltage", last_trip=last)
+    text = "\n".join(shown(tripped))
+    assert "trip [over-voltage]: v = 9" in text
     cause = (
         "stale: measurement is 1005 ms old, limit 1000 ms; the oldest value is the voltage: mute"
     )

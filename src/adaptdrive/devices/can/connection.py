@@ -24,6 +24,7 @@ from adaptdrive.devices import port
 from adaptdrive.devices.bus import backoff_s
 from adaptdrive.devices.can.bus import describe_bus, open_bus
 from adaptdrive.devices.can.integrity import ArrivalClock
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.clock import pulsing
 from adaptdrive.util.errors import BusError
 
@@ -282,14 +283,15 @@ class CanConnection(Generic[port.AnyListener]):
         return True
 
     @property
-    def trip_cause(self) -> str | None:
+    def trip_cause(self) -> Trip | None:
         """Reason not to energise the drive: commands do not reach the bus, None for no reason."""
         if self._untaken < _UNTAKEN_COMMANDS:
             return None
-        return (
+        return Trip(
+            TripKind.BUS_TAKES_NOTHING,
             f"the bus does not take commands: {self._untaken} in a row were refused while the "
             "drive's messages came; look for another sender that keeps the bus busy, and for an "
-            "adapter that sends nothing"
+            "adapter that sends nothing",
         )
 
     def note_reading(self) -> None:

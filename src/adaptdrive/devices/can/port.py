@@ -27,6 +27,7 @@ from adaptdrive.devices.can.codec import frame_key
 from adaptdrive.devices.faults import LEAPT, Obedience, OtherSender, Relink
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.timing import OBEY_S
+from adaptdrive.safety.trips import Trip, TripKind
 
 _ASK_AGAIN_S = 1.0
 """Silence of the clock of a drive that is off after which its set-up is sent again: it may have
@@ -101,7 +102,7 @@ class Port:
         return port.PortStatistics(**self._counts)
 
     @property
-    def trip_cause(self) -> str | None:
+    def trip_cause(self) -> Trip | None:
         """Another sender, a fault not carried yet, commands not taken, or a stop unheard."""
         return (
             self._others.trip_cause
@@ -177,7 +178,7 @@ class Port:
         """Process the frames that have arrived, but were not read yet."""
         self._connection.catch_up()
 
-    def explain_age(self) -> str:
+    def explain_age(self) -> Trip:
         """Return the oldest value, its source, its age, and the likeliest cause of that."""
         now_s = self._clock()
         status, source, oldest_s, newest_s = self._assembly.oldest()
@@ -186,25 +187,27 @@ class Port:
         # not the age of the reading, which may be that of a value that has come since
         found = f"is the oldest value, {age_s * 1e3:.0f} ms old" if came else "has never come"
         others_come = newest_s > oldest_s and now_s - newest_s < 0.5 * age_s
-        why = self._explain_silence(status, came=came, others_come=others_come)
-        return f"{value} {found}: {why}"
+        kind, why = self._explain_silence(status, came=came, others_come=others_come)
+        return Trip(kind, f"{value} {found}: {why}")
 
-    def _explain_silence(self, status: StatusFrame, *, came: bool, others_come: bool) -> str:
+    def _explain_silence(
+        self, status: StatusFrame, *, came: bool, others_come: bool
+    ) -> tuple[TripKind, str]:
         if self._connection.bus is None:
-            return "the bus is lost"
+            return TripKind.BUS_LOST, "the bus is lost"
         refused = self._refusals.explain(status.codec.label)
         if refused is not None:
-            return refused
+            return TripKind.FRAMES_REFUSED, refused
         if status.codec.name in self._config.polled:
-            return "no reply to its requests: check bus.polled, the id, the drive and its cable"
-        if others_come and came:
-            return (
-                "other messages come, and this one has come before: does the drive still send it, "
-                "and as often as interlocks.stale_s needs?"
-            )
+            hint = "check bus.polled, the id, the drive and its cable"
+            return TripKind.MESSAGE_MISSING, f"no reply to its requests: {hint}"
         if others_come:
-            return "other messages come: is this one switched on in the drive, with this id?"
-        return "no message comes: check the drive's supply, the cable, the bit rate, the ids"
+            again = "this one has come before: does the drive still send it, and as often as"
+            asked = f", and {again} interlocks.stale_s needs?"
+            never = ": is this one switched on in the drive, with this id?"
+            return TripKind.MESSAGE_MISSING, f"other messages come{asked if came else never}"
+        hint = "check the drive's supply, the cable, the bit rate, the ids"
+        return TripKind.NO_MESSAGE, f"no message comes: {hint}"
 
     def details(self) -> list[str]:
         """Frames that were refused, one line for each kind."""

@@ -25,6 +25,7 @@ from adaptdrive.devices.can.bus import describe_bus
 from adaptdrive.devices.canopen import dictionary, profile, sdo
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import BusError
 
 # The drive's status PDOs as readings: the set after one SYNC, and the newest of several sets.
@@ -285,9 +286,11 @@ class Master:
         self._state: int | None = None
         self._booted = False
         self.ready = self.mapped = self.overwritten = False
-        self.problem = "not heard yet"
+        self.problem = Trip(TripKind.NODE_LOST, "not heard yet")
 
-    async def run(self, report: Callable[[str | None], None], is_quiet: Callable[[], bool]) -> None:
+    async def run(
+        self, report: Callable[[Trip | None], None], is_quiet: Callable[[], bool]
+    ) -> None:
         """Bring the node up whenever it is lost, until cancelled.
 
         Args:
@@ -299,7 +302,7 @@ class Master:
             try:
                 await self._bring_up()
             except BusError as refusal:
-                self._lose(refusal.problem)
+                self._lose(TripKind.NODE_LOST, refusal.problem)
                 report(self.problem)
                 await self._await(_RETRY_S, lambda: self._booted)
                 continue
@@ -317,17 +320,20 @@ class Master:
         if state == BOOT_UP:
             self._booted, self.mapped = True, False
         if self.ready and state != OPERATIONAL:
-            left = f"is not operational any more (state {state})"
-            self._lose("has been restarted" if self._booted else left)
+            if self._booted:
+                self._lose(TripKind.NODE_RESTARTED, "has been restarted")
+            else:
+                left = f"is not operational any more (state {state})"
+                self._lose(TripKind.NOT_OPERATIONAL, left)
         self._beat.set()
 
     def leave(self, problem: str) -> None:
         """The bus is gone, and the node with it."""
-        self._lose(problem)
+        self._lose(TripKind.NODE_LOST, problem)
         self.mapped = False
 
-    def _lose(self, problem: str) -> None:
-        self.ready, self.problem = False, problem
+    def _lose(self, kind: TripKind, problem: str) -> None:
+        self.ready, self.problem = False, Trip(kind, problem)
 
     async def _bring_up(self) -> None:
         """Set the node up and start it.
@@ -356,14 +362,16 @@ class Master:
             beat_s = self._beat_s
             silent_s = self._clock() - beat_s
             if self.overwritten and is_quiet():
-                self._lose("is set up again: another sender has written its objects")
+                written = "is set up again: another sender has written its objects"
+                self._lose(TripKind.OBJECTS_WRITTEN, written)
             elif silent_s <= timeout_s:
                 self._beat.clear()
                 await self._await(timeout_s - silent_s + 0.001, self._beat.is_set)
             else:
                 await asyncio.sleep(_LOOK_AGAIN_S)
                 if beat_s == self._beat_s:
-                    self._lose(f"heartbeat lost for {1e3 * silent_s:.0f} ms")
+                    silent = f"heartbeat lost for {1e3 * silent_s:.0f} ms"
+                    self._lose(TripKind.HEARTBEAT_LOST, silent)
 
     async def _await(self, limit_s: float, done: Callable[[], bool]) -> None:
         """Wait for heartbeats until something is done, no longer than a limit in s."""

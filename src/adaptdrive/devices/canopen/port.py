@@ -24,6 +24,7 @@ from adaptdrive.devices.can.integrity import PROMPT_S
 from adaptdrive.devices.canopen import node, profile, sdo
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
 from adaptdrive.safety.timing import Timing, timing_of
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.clock import pulsing
 from adaptdrive.util.errors import BusError, Flaw
 
@@ -67,7 +68,7 @@ class Port(node.NodePort):
         self._connection.caught_up = self.hand_out
 
     @property
-    def trip_cause(self) -> str | None:
+    def trip_cause(self) -> Trip | None:
         """Reason not to energise the drive, None for no reason."""
         for seen in (self._others, self._reports.faults, self._connection):
             if seen.trip_cause is not None:
@@ -75,9 +76,11 @@ class Port(node.NodePort):
         if self._connection.bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, which is a separate cause
         problem = self._problem_of_node()
-        return None if problem is None else f"{sdo.describe_node(self._config)}: {problem}"
+        if problem is None:
+            return None
+        return Trip(problem.kind, f"{sdo.describe_node(self._config)}: {problem}")
 
-    def _problem_of_node(self) -> str | None:
+    def _problem_of_node(self) -> Trip | None:
         """Return the most telling thing that is wrong with the node, None when nothing is.
 
         `reset` does not end the emergency of a node that is not ready: the reason follows it then.
@@ -85,15 +88,19 @@ class Port(node.NodePort):
         control, master = self._control, self._master
         if self._emergency is not None:
             more = "" if master.ready else f"; not ready: {master.problem}"
-            return f"{self._emergency}{more}"
+            return Trip(TripKind.EMERGENCY, f"{self._emergency}{more}")
         if control.fallen is not None:
             return control.fallen
         if not master.ready:
             return master.problem
         if master.overwritten:
-            return "another sender has written its objects: it is set up again when that is quiet"
+            written = (
+                "another sender has written its objects: it is set up again when that is quiet"
+            )
+            return Trip(TripKind.OBJECTS_WRITTEN, written)
         if control.faulty or control.state in _UNFIT:
-            return f"the drive's state is {control.state or 'not known yet'}"
+            state = f"the drive's state is {control.state or 'not known yet'}"
+            return Trip(TripKind.STATE_UNFIT, state)
         return None
 
     @property
@@ -137,13 +144,13 @@ class Port(node.NodePort):
         """Process the frames that have arrived, but were not read yet."""
         self._connection.catch_up()
 
-    def explain_age(self) -> str:
+    def explain_age(self) -> Trip:
         """Return the PDO that is missing for a reading, and the likeliest cause."""
-        return self._reports.explain()
+        return Trip(TripKind.STALE, self._reports.explain())
 
     def details(self) -> list[str]:
         """Return the missing PDOs of the node."""
-        return [self.explain_age()] if self._reports.missing else []
+        return [self._reports.explain()] if self._reports.missing else []
 
     async def reset_fault(self) -> None:
         """Have the drive leave its fault by an edge of the reset bit; ends in a second at most.
@@ -218,7 +225,7 @@ class Port(node.NodePort):
             self._emergency = None
         else:
             self._emergency = emergency
-            self._control.fall(str(emergency))
+            self._control.fall(Trip(TripKind.EMERGENCY, str(emergency)))
 
     def _take_pdo(self, status: StatusPdo, frame: can.Message) -> None:
         if not self._master.ready:
@@ -271,9 +278,9 @@ class Port(node.NodePort):
             raise
         finally:
             self._master.leave("bus lost")
-            self._on_node("bus lost")
+            self._on_node(self._master.problem)
 
-    def _report_node(self, problem: str | None) -> None:
+    def _report_node(self, problem: Trip | None) -> None:
         """Report that the node is ready, or why it is not."""
         if problem is None:
             self._counts["reconnects"] += self._been_up
@@ -281,9 +288,9 @@ class Port(node.NodePort):
         else:
             self._disable_lost()
         self._on_node(problem)
-        self._connection.report(up=problem is None, detail=problem or "operational")
+        self._connection.report(up=problem is None, detail=str(problem or "operational"))
 
-    def _on_node(self, problem: str | None) -> None:
+    def _on_node(self, problem: Trip | None) -> None:
         """Forget all values that were received before the node came up or was lost."""
         if problem is not None:
             self._control.fall(problem)
@@ -312,9 +319,8 @@ class CanOpenWatch(node.NodePort):
         self._counts["send_drops"] += 1
         return False
 
-    def explain_age(self) -> str:
+    def explain_age(self) -> None:
         """Name nothing: nothing is driven from here."""
-        return ""
 
     async def _serve(self, announce: Callable[[], None]) -> str:
         """Read the drive until the bus is lost; return the reason."""

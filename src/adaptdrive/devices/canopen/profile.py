@@ -18,6 +18,7 @@ from typing import Final
 from canopen.emcy import EmcyError
 
 from adaptdrive.control.signals import Command
+from adaptdrive.safety.trips import Trip, TripKind
 
 CONTROLWORD = (0x6040, 0)
 STATUSWORD = (0x6041, 0)
@@ -106,7 +107,7 @@ class DriveControl:
         self._limit_s = limit_s
         self.state: DriveState | None = None
         self.powered = False
-        self.fallen: str | None = None
+        self.fallen: Trip | None = None
         self._reported_s = math.inf
         self._commanded_on = False
         self._goal = _REST
@@ -133,14 +134,15 @@ class DriveControl:
         if self._goal != _REST and self._rested:
             rung = _RUNGS.get(state)
             if rung is None or rung < self._reached:
-                self.fall(f"the drive left its state by itself: {state}")
+                left = f"the drive left its state by itself: {state}"
+                self.fall(Trip(TripKind.STATE_LEFT, left))
             else:
                 self._reached = min(rung, self._goal)
         if state is not DriveState.ENABLED:
             self._check_silence(arrival_s)
         self._reported_s = arrival_s
 
-    def fall(self, reason: str) -> None:
+    def fall(self, reason: Trip) -> None:
         """Bring an energised drive to rest, and keep it there until it is commanded safe."""
         if self._goal != _REST and self.fallen is None:
             self.fallen = reason
@@ -168,10 +170,9 @@ class DriveControl:
     def _check_silence(self, now_s: float) -> None:
         silent_s = now_s - self._reported_s
         if self._commanded_on and silent_s > self._limit_s:
-            self.fall(
-                "the drive left its state by itself, or may have: nothing was heard of it for "
-                f"{silent_s * 1e3:.0f} ms while it was commanded on"
-            )
+            left = "the drive left its state by itself, or may have: nothing was heard of it for"
+            text = f"{left} {silent_s * 1e3:.0f} ms while it was commanded on"
+            self.fall(Trip(TripKind.DRIVE_SILENT, text))
 
     def _next_word(self, command: Command) -> int:
         goal = _REST

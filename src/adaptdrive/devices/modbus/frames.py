@@ -7,6 +7,7 @@ from pymodbus.framer import FramerRTU
 
 from adaptdrive.config.polled import RtuLink, TcpLink
 from adaptdrive.devices.polled.registers import Exchange
+from adaptdrive.safety.trips import TripKind
 
 _HEADER = struct.Struct(">HHHB")
 """Head of a packet on TCP: transaction, protocol, length of all that follows it, device."""
@@ -36,6 +37,9 @@ _EXCEPTIONS = {
 """Codes by which a device says why it does not do what it was asked for (Modbus, 7)."""
 
 _NO_FUNCTION = 1
+_OF_GATEWAYS = frozenset({10, 11})
+"""Codes of a gateway that does not reach the device."""
+
 _UNMAPPED = frozenset({2, 3})
 """Codes by which a device refuses a read because some of its addresses hold nothing."""
 
@@ -101,8 +105,8 @@ def answer(reply: bytes, asked: bytes, exchange: Exchange) -> list[int] | None:
     return list(struct.unpack(f">{read.count}H", data))
 
 
-def explain_exception(code: int, exchange: Exchange) -> str:
-    """Return an exception reply in words.
+def explain_exception(code: int, exchange: Exchange) -> tuple[TripKind, str]:
+    """Return the kind of trip of an exception reply, and the reply in words.
 
     Args:
         code: Exception code of the device.
@@ -110,21 +114,26 @@ def explain_exception(code: int, exchange: Exchange) -> str:
     """
     name = _EXCEPTIONS.get(code, "unknown")
     refused = f"exception reply {code} to function {function_of(exchange)} ({name}), {exchange}"
-    return f"{refused}{_remedy(code, exchange)}"
+    kind, hint = _remedy(code, exchange)
+    return kind, f"{refused}{hint}"
 
 
-def _remedy(code: int, exchange: Exchange) -> str:
-    """Return the key of `[bus]` that may keep a device from refusing this, empty for none."""
+def _remedy(code: int, exchange: Exchange) -> tuple[TripKind, str]:
+    """Return the kind of trip, and the key of `[bus]` that may avoid it, empty for none."""
     read, write = exchange.read, exchange.write
     if code in _UNMAPPED and read is not None and read.gap:
         across = f"; it runs across {read.gap} addresses that no entry names"
-        return f"{across}: max_gap = {read.gap - 1} reads without them"
+        return TripKind.REGISTERS_MISSING, f"{across}: max_gap = {read.gap - 1} reads without them"
+    if code in _OF_GATEWAYS:
+        return TripKind.GATEWAY, ""
     if code != _NO_FUNCTION or write is None or write.table != "holding":
-        return ""
+        return TripKind.POLL_REFUSED if write is None else TripKind.COMMAND_REFUSED, ""
     if read is not None:
-        return "; bus.read_write = false writes in a request of its own"
+        own = "; bus.read_write = false writes in a request of its own"
+        return TripKind.WRITE_FUNCTION, own
     other = ("multiple", _WRITE) if write.single else ("single", _WRITE_REGISTER)
-    return f"; bus.write = {other[0]!r} writes by function {other[1]}"
+    text = f"; bus.write = {other[0]!r} writes by function {other[1]}"
+    return TripKind.WRITE_FUNCTION, text
 
 
 class TcpFrames:

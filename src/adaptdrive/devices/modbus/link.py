@@ -27,6 +27,7 @@ from adaptdrive.config.polled import ModbusLink, RtuLink, TcpLink
 from adaptdrive.devices.modbus import frames
 from adaptdrive.devices.polled.link import ExchangeError, PolledLink, Void, never
 from adaptdrive.devices.polled.registers import RTU_FRAME, Exchange, silence_s
+from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.clock import in_thread
 
 # A serial port whose opening and closing do not hold up the event loop.
@@ -231,7 +232,8 @@ class ModbusConnection(PolledLink):
         self._miss(exchange)
         received = self._stream.received
         instead = f"; {self._frames.explain(received)}" if received else f" to {exchange}"
-        raise ExchangeError(f"no reply within {self._timeout_s:g} s{instead}")
+        problem = f"no reply within {self._timeout_s:g} s{instead}"
+        raise ExchangeError(problem, kind=TripKind.NO_REPLY)
 
     def _miss(self, exchange: Exchange) -> None:
         """Count a missing reply, and what came in its place."""
@@ -259,7 +261,8 @@ class ModbusConnection(PolledLink):
         code = frames.exception_code(reply)
         if code is not None:
             self._counts["exceptions"] += 1
-            raise ExchangeError(frames.explain_exception(code, exchange), code)
+            kind, problem = frames.explain_exception(code, exchange)
+            raise ExchangeError(problem, code, kind=kind)
         registers = frames.answer(reply, asked, exchange)
         if registers is None:
             self.suspect()

@@ -18,6 +18,7 @@ from adaptdrive.devices.polled.mapping import Named, Poll, explain, written
 from adaptdrive.devices.polled.registers import Block, Exchange
 from adaptdrive.devices.port import Listener
 from adaptdrive.safety.timing import Timing
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import BusError
 
 _MIXED_UP = (
@@ -50,10 +51,10 @@ class Port(Polling[PolledLink, Listener]):
         self._commander = commander.Commander(poll, self._history, self._counts, clock, timing)
         self._link: PolledLink | None = None
         self._assembly = reports.PollAssembly(poll, bus.heartbeat, self._explain)
-        self._failure = ""
+        self._failure: Trip | None = None
 
     @property
-    def trip_cause(self) -> str | None:
+    def trip_cause(self) -> Trip | None:
         """Reason not to energise the drive: it does not accept its commands, or had a fault."""
         return self._commander.trip_cause or self._assembly.faults.trip_cause
 
@@ -106,10 +107,11 @@ class Port(Polling[PolledLink, Listener]):
         sinks = (sink for _, written in self._poll.writes for sink in written)
         await pulse_reset(sinks, self._cycle_s)
 
-    def explain_age(self) -> str:
+    def explain_age(self) -> Trip:
         """Return the missing registers of the last poll; every value is as old as its poll."""
         since = "since the last reading" if self._assembly.raw else "yet"
-        return f"the polls give no reading: {self._failure or f'no reply has come {since}'}"
+        why = self._failure or Trip(TripKind.NO_REPLY, f"no reply has come {since}")
+        return Trip(why.kind, f"the polls give no reading: {why}")
 
     def details(self) -> list[str]:
         """The registers of the last poll, raw, and what was refused."""
@@ -199,7 +201,7 @@ class Port(Polling[PolledLink, Listener]):
         except OvertakenError:
             pass  # the drive was not asked
         except ExchangeError as failure:
-            self._failure = failure.problem
+            self._failure = Trip(failure.kind, failure.problem)
             self._commander.note_read(answered=False)
             self._note_silence(failure.problem)
         else:
@@ -208,7 +210,7 @@ class Port(Polling[PolledLink, Listener]):
                 await self._set_up(link)
             self._commander.note_read(answered=True)
             if self._is_mixed_up:
-                self._failure = _MIXED_UP
+                self._failure = Trip(TripKind.POLL_REFUSED, _MIXED_UP)
                 link.suspect()  # the replies that are left would answer the next poll
             else:
                 self._take(start_s)
@@ -230,8 +232,9 @@ class Port(Polling[PolledLink, Listener]):
             words = await self._commander.read(link, Exchange(read=block), joined=joined)
             joined = False
             assembly.take(block, sources, words)
-        self._failure = assembly.refusal
-        self._counts["out_of_range"] += bool(assembly.refusal)
+        refusal = assembly.refusal
+        self._failure = Trip(TripKind.VALUE_REFUSED, refusal) if refusal else None
+        self._counts["out_of_range"] += bool(refusal)
 
     def _take(self, start_s: float) -> None:
         """Hand out the reading of a poll; none of a drive that stands still."""
@@ -254,5 +257,5 @@ class Port(Polling[PolledLink, Listener]):
         alive = self._assembly.is_alive(start_s)
         if alive is False:
             self._counts["counter_stuck"] += 1
-            self._failure = reports.STANDS_STILL
+            self._failure = Trip(TripKind.HEARTBEAT_STANDS, reports.STANDS_STILL)
         return alive is True

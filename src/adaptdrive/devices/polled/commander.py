@@ -12,6 +12,7 @@ from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, Polled
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, block_words
 from adaptdrive.devices.polled.registers import Block, Exchange
 from adaptdrive.safety.timing import Timing
+from adaptdrive.safety.trips import Trip
 
 
 class WritePace:
@@ -104,7 +105,7 @@ class Commander:
         return f"command: {self._untaken.last}" if self._untaken.last else ""
 
     @property
-    def trip_cause(self) -> str | None:
+    def trip_cause(self) -> Trip | None:
         """Reason not to energise the drive: it does not accept its commands, or has stopped."""
         return self._untaken.trip_cause or self._history.trip_cause
 

@@ -14,6 +14,7 @@ from typing import Generic, TypeVar
 from adaptdrive.devices.bus import CountingPort, backoff_s
 from adaptdrive.devices.polled.registers import Exchange
 from adaptdrive.devices.port import AnyListener
+from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.clock import find
 from adaptdrive.util.errors import AdaptdriveError, BusError
 
@@ -39,17 +40,26 @@ _COUNT = struct.Struct("i")
 class ExchangeError(AdaptdriveError):
     """An exchange gave nothing that may be used."""
 
-    def __init__(self, problem: str, code: int | None = None, *, doubtful: bool = False) -> None:
+    def __init__(
+        self,
+        problem: str,
+        code: int | None = None,
+        *,
+        doubtful: bool = False,
+        kind: TripKind = TripKind.POLL_REFUSED,
+    ) -> None:
         """Keep the reason.
 
         Args:
             problem: What went wrong.
             code: Exception code of the device, None where it gave none.
             doubtful: Whether a reply came that may be one to an earlier request.
+            kind: Kind of the trip that follows where it lasts.
         """
         self.problem = problem
         self.code = code
         self.doubtful = doubtful
+        self.kind = kind
         super().__init__(problem)
 
 
@@ -250,7 +260,7 @@ class PolledLink(ABC):
         """
         self._note_end()
         if self.lost is not None:
-            raise ExchangeError(self.lost)
+            raise ExchangeError(self.lost, kind=TripKind.NO_REPLY)
         self.asked_s = self._clock()
         if void is not None and void():  # asked last: the process may have stood still until here
             raise OvertakenError("not sent: it was no longer wanted")

@@ -12,6 +12,7 @@ from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, explain, v
 from adaptdrive.devices.polled.registers import Block
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.timing import Timing
+from adaptdrive.safety.trips import Trip, TripKind
 
 # Reports of a drive that is polled, and the judgement whether what energises may follow them.
 
@@ -59,7 +60,7 @@ class PollHistory:
         self.reported_s = self.fed_s = -math.inf
 
     @property
-    def trip_cause(self) -> str | None:
+    def trip_cause(self) -> Trip | None:
         """Reason not to energise the drive: it has stopped; None for none."""
         return self._relink.trip_cause
 
@@ -203,17 +204,20 @@ class UntakenCommands:
 
     def __init__(self) -> None:
         self._refused = self._untaken = 0
+        self._kind = TripKind.COMMAND_REFUSED
         self.doubtful = False
         self.last = ""
 
     @property
-    def trip_cause(self) -> str | None:
+    def trip_cause(self) -> Trip | None:
         """Reason not to energise the drive, None while too few commands have failed."""
         if self._refused < _REFUSED_WRITES and self._untaken < _UNTAKEN_WRITES:
             return None
-        does = "refuses" if self._refused else "does not answer"
+        kind, does = TripKind.COMMAND_UNANSWERED, "does not answer"
+        if self._refused:
+            kind, does = self._kind, "refuses"
         check = "check [bus.registers], its remote mode and write access"
-        return f"the drive {does} commands: {self.last}; {check}"
+        return Trip(kind, f"the drive {does} commands: {self.last}; {check}")
 
     def note(self, failure: ExchangeError, *, silent: bool) -> None:
         """Note that the drive has not taken a command, or not provably.
@@ -226,7 +230,7 @@ class UntakenCommands:
         refused = failure.code is not None and failure.code not in _BUSY
         self._refused = self._refused + 1 if refused else 0
         self._untaken += not silent
-        self.last = failure.problem
+        self.last, self._kind = failure.problem, failure.kind
 
     def clear(self) -> None:
         """Note that the drive has acknowledged a command, or begin anew on another link."""

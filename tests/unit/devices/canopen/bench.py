@@ -66,8 +66,8 @@ class Bench:
 
     async def complains(self, text: str) -> str:
         """Wait for a cause to trip."""
-        await until(lambda: text in (self.port.trip_cause or ""))
-        return self.port.trip_cause or ""
+        await until(lambda: text in str(self.port.trip_cause))
+        return "" if self.port.trip_cause is None else self.port.trip_cause.text
 
     async def reports(self, text: str) -> None:
         """Wait for the report that the node is lost, or cannot be set up."""

@@ -50,7 +50,7 @@ def test_a_drive_that_may_have_come_on_and_stopped_in_a_silence_is_not_commanded
     assert drive.word == ENABLE_OPERATION
     drive.report(SWITCHED_ON, after_s=0.12)
     assert drive.command() == DISABLE_VOLTAGE
-    assert "nothing was heard of it for 120 ms" in (drive.control.fallen or "")
+    assert "nothing was heard of it for 120 ms" in str(drive.control.fallen)
 
 
 def test_it_gets_no_command_to_come_on_before_it_has_reported() -> None:

@@ -9,6 +9,7 @@ import msgspec
 import pytest
 
 from adaptdrive.runtime.requests import Disable
+from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive_sim.demo import DemoError, DemoSettings
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.stages import VirtualStage
@@ -53,7 +54,9 @@ class Theatre(VirtualStage):
         self.looks.append(look)
 
     def latch(self, _: Player) -> None:
-        self.drive.machine.latch("over-voltage: v_bst = 431 V, limit 430 V")
+        self.drive.machine.latch(
+            Trip(TripKind.OVER_VOLTAGE, "over-voltage: v_bst = 431 V, limit 430 V")
+        )
 
     @property
     def record_now(self) -> DemoRecord:
