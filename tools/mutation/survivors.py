@@ -38,9 +38,9 @@ _HOLD = " if hold_s is None else math.ceil(hold_s / self._limits.drive.half_cycl
 _MACHINE = "runtime.state_machine:Machine.__init__: "
 _LOOP = "runtime.fast_loop:FastLoop."
 _CYCLES = "runtime.timebase:HalfCycles."
-_RATE = "runtime.frame_rate:"
-_COUNTER = "runtime.timebase:CounterWatch."
-_BRIDGE = "runtime.stopping:BridgeWatch."
+_RATE = "safety.frames:"
+_COUNTER = "safety.frames:CounterWatch."
+_BRIDGE = "safety.monitor:BridgeWatch."
 
 RUNTIME: dict[str, str] = {
     "runtime.settings:ManualVoltage.value: if abs(distance_V) <= way_V: -> "

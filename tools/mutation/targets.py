@@ -12,18 +12,20 @@ _MACHINE = (
 _STOP = ("tests/unit/runtime/test_stop_watch.py",)
 _RATE = (
     "tests/unit/runtime/test_half_cycles.py",
-    "tests/unit/runtime/test_frame_rate.py",
+    "tests/unit/safety/test_frame_rate.py",
     "tests/unit/runtime/test_polled_drive.py",
 )
 
 RUNTIME: dict[str, tuple[str, ...]] = {
-    "adaptdrive.runtime.interlocks": (
-        "tests/unit/runtime/test_interlocks.py",
-        "tests/unit/runtime/test_interlock_board.py",
+    "adaptdrive.safety.interlocks": (
+        "tests/unit/safety/test_interlocks.py",
+        "tests/unit/safety/test_interlock_board.py",
         *_LOOP,
-        "tests/unit/runtime/test_bridge_watch.py",
-        "tests/unit/runtime/test_guard.py",
+        "tests/unit/safety/test_bridge_watch.py",
     ),
+    "adaptdrive.safety.guard": ("tests/unit/safety/test_guard.py", *_LOOP),
+    "adaptdrive.safety.monitor": ("tests/unit/safety/test_bridge_watch.py", *_LOOP),
+    "adaptdrive.safety.stop": (*_STOP, *_LOOP),
     "adaptdrive.runtime.state_machine": (
         *_MACHINE,
         "tests/unit/runtime/test_fast_loop_decisions.py",
@@ -39,16 +41,16 @@ RUNTIME: dict[str, tuple[str, ...]] = {
         "tests/unit/runtime/test_statistics.py",
     ),
     "adaptdrive.runtime.timebase": (
-        "tests/unit/runtime/test_counter_watch.py",
+        "tests/unit/safety/test_counter_watch.py",
         *_RATE,
         "tests/unit/runtime/test_fast_loop.py",
     ),
-    "adaptdrive.safety.frame_rate": (*_RATE, "tests/unit/runtime/test_counter_watch.py"),
+    "adaptdrive.safety.frames": (*_RATE, "tests/unit/safety/test_counter_watch.py"),
     "adaptdrive.runtime.stopping": (
         *_STOP,
-        "tests/unit/runtime/test_bridge_watch.py",
+        "tests/unit/safety/test_bridge_watch.py",
         *_LOOP,
-        "tests/unit/runtime/test_frame_rate.py",
+        "tests/unit/safety/test_frame_rate.py",
     ),
     "adaptdrive.control.schedule": (
         "tests/unit/control/test_schedule.py",

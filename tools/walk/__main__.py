@@ -120,7 +120,7 @@ async def follow(folder: Path) -> dict[str, Walk]:
             await wire.daemon.execute(SetSetpoint(3.0))
             await wire.daemon.execute(SetMode(Mode.ADAPTIVE))
             await asyncio.sleep(SETTLED_S)
-            sent = [walk for walk in ticks[-100:] if "runtime/interlocks.py" in walk.files]
+            sent = [walk for walk in ticks[-100:] if "safety/guard.py" in walk.files]
             settled = periods[-20:]
             return {
                 "tick": _median(sent),

@@ -16,8 +16,8 @@ from adaptdrive.control.supervision.setpoints import Reach
 from adaptdrive.devices.bus import Row
 from adaptdrive.runtime.accounts import WINDOW_S
 from adaptdrive.runtime.settings import MachineLimits
-from adaptdrive.safety.capacitor import CapacitorBalance
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.guard import CapacitorBalance
 from adaptdrive.safety.plausibility import ResponseLimits
 from adaptdrive.util.errors import ConfigurationError, escaped
 

@@ -25,7 +25,7 @@ from adaptdrive.control.settings import (
 from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.mqtt.contract import Output, Profile
 from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings, MachineLimits
-from adaptdrive.safety import frame_rate, plausibility
+from adaptdrive.safety import frames, plausibility
 from adaptdrive.safety.interlocks import Limits
 from adaptdrive.safety.timing import timing_of
 
@@ -256,7 +256,7 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
     settings, model = controller_settings(configuration), build_load(configuration)
     pole_min, pole_max = loads.pole_range(settings, model, load)
     patience_s = configuration.interlocks.precharge_timeout_s
-    verdict_ticks = frame_rate.verdict_ticks(configuration.bus.ticks_per_reading)
+    verdict_ticks = frames.verdict_ticks(configuration.bus.ticks_per_reading)
     return MachineLimits(
         load=load,
         drive=drive,

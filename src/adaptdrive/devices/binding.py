@@ -16,9 +16,10 @@ from threading import Event
 from typing import Any, Generic, Literal
 
 from adaptdrive.config import bus, root, section
-from adaptdrive.devices import description, faults
+from adaptdrive.devices import description
 from adaptdrive.devices.description import Item, Sink, Source
 from adaptdrive.devices.field import Field
+from adaptdrive.safety.facts import FaultWord
 from adaptdrive.util.errors import Flaw, nearest
 
 Use = Literal["measured", "word", "state", "command", "constant", "setup"]
@@ -55,7 +56,7 @@ def other_names(sources: Iterable[Source[Any]]) -> tuple[str, ...]:
     )
 
 
-def watched_words(sources: Iterable[Source[Any]]) -> dict[str, faults.FaultWord]:
+def watched_words(sources: Iterable[Source[Any]]) -> dict[str, FaultWord]:
     """Return the words of faults and warnings among sources, by quantity."""
     return {one.quantity: one.word for one in sources if one.word is not None}
 
@@ -211,7 +212,7 @@ class Catalogue(ABC, Generic[Item]):
             word = self._watched(quantity, entry, field, place)
         elif quantity.endswith(bus.CODE):
             label, of = self._label(entry), quantity.removesuffix(bus.CODE)
-            word = faults.FaultWord(label, -1, field.names, code_of=of)
+            word = FaultWord(label, -1, field.names, code_of=of)
         if isinstance(entry, bus.SwitchSource):
             on = self._on(entry, field, f"{place}.on")
         return Source(quantity, item, field, entry.scale, entry.offset, on, place, word)
@@ -245,7 +246,7 @@ class Catalogue(ABC, Generic[Item]):
 
     def _watched(
         self, quantity: str, entry: bus.FaultSource, field: Field, place: str
-    ) -> faults.FaultWord:
+    ) -> FaultWord:
         """Return a watched word.
 
         Refuse a healthy value without a name, a state 0 that would have to be a fault, and bits
@@ -260,7 +261,7 @@ class Catalogue(ABC, Generic[Item]):
             if bits.bit_length() - 1 > highest:
                 problem = f"{field.name!r} has no bit {bits.bit_length() - 1}"
                 self.note(f"{place}.{key}", f"{problem}: its highest is {highest}")
-        return faults.FaultWord(
+        return FaultWord(
             self._label(entry),
             entry.bits,
             {**field.names, **entry.named},

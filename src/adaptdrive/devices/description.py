@@ -14,8 +14,8 @@ from typing import Generic, TypeVar
 
 from adaptdrive.config import Configuration, bus, section
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.field import Field
+from adaptdrive.safety.facts import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Files that describe a drive: read whole, and never waited for.

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 from adaptdrive.control.signals import Command
-from adaptdrive.devices.faults import FaultLatch, FaultWord
-from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.facts import FaultLatch, FaultWord, Reading
 from adaptdrive.safety.trips import Trip
 
 # The port that every backend meets: how a reading arrives and a command leaves.

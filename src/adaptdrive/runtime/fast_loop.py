@@ -16,11 +16,11 @@ from adaptdrive.config.consistency import LATE_READINGS
 from adaptdrive.control import signals
 from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.devices.port import Port
-from adaptdrive.runtime import interlocks, reports, state_machine, stopping, timebase
+from adaptdrive.runtime import reports, state_machine, stopping, timebase
 from adaptdrive.runtime.settings import FastLoopSettings, LoopServices
-from adaptdrive.safety.capacitor import CapacitorBalance
 from adaptdrive.safety.facts import Reading, assuming
-from adaptdrive.safety.guard import Guard
+from adaptdrive.safety.guard import CapacitorBalance, Guard
+from adaptdrive.safety.interlocks import InterlockBoard
 from adaptdrive.safety.trips import Trip, TripKind
 
 _OFF: Final[signals.Stage] = signals.Stage.OFF  # found at once by compiled code
@@ -116,7 +116,8 @@ class FastLoop:
         self._capacitor = CapacitorBalance(settings.drive, highest_V) if charges else None
         self._assumes_voltage = "boost_voltage_V" in settings.limits.absent
         self._surroundings = surroundings
-        self._interlocks = interlocks.InterlockBoard(settings, port, self._half_cycles)
+        counts, rate = self._half_cycles.counts, self._half_cycles.rate
+        self._interlocks = InterlockBoard(settings, port, counts, rate)
         self.stopping = stopping.Stopping(port, timing, machine, surroundings.not_stopped)
         self._order: signals.Order | None = None
         self._wanted = signals.SAFE_COMMAND

@@ -14,8 +14,7 @@ apart, by the clock that polls it, and its ticks are multiples of that number.
 
 from collections import deque
 
-from adaptdrive.safety.counter import SLACK_TICKS, CounterWatch
-from adaptdrive.safety.frame_rate import FrameRate
+from adaptdrive.safety.frames import SLACK_TICKS, CounterWatch, FrameRate
 
 _LATE_TICKS = 0.75  # without a counter, a frame later than this is taken for the next one
 

@@ -211,7 +211,9 @@ class Story(RuleBasedStateMachine):
         return daemon
 
     def _revised(self, decision: Decision) -> Decision:
-        return replace(decision, fault="the load is gone") if self.load_gone else decision
+        if not self.load_gone:
+            return decision
+        return replace(decision, fault="the load is gone", fault_kind="no-response")
 
     # -- operators ---------------------------------------------------------------------------
 

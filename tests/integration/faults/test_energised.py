@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis.stateful import run_state_machine_as_test
 
-from adaptdrive.runtime.interlocks import InterlockBoard
-from adaptdrive.runtime.stopping import BridgeWatch
+from adaptdrive.safety.interlocks import InterlockBoard
+from adaptdrive.safety.monitor import BridgeWatch
 from adaptdrive.safety.timing import Timing
 from tests.integration.faults.story import HastyDriveStory, PatientStory, SlowDriveStory, Story
 

@@ -17,10 +17,10 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices.can import port as can_port
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.devices.faults import QUIET_S
-from adaptdrive.runtime.stopping import Stop, StopWatch
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.interlocks import Limits, find_cause
+from adaptdrive.safety.monitor import QUIET_S
+from adaptdrive.safety.stop import Stop, StopWatch
 from adaptdrive.util.errors import BusError
 from tests.support import text_of
 from tests.unit.devices.bench import (

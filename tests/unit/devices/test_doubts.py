@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.devices.faults import LEAPT, LOST, Obedience, OtherSender, Relink
+from adaptdrive.safety.monitor import LEAPT, LOST, OtherSender, Relink
+from adaptdrive.safety.stop import Obedience
 
 
 def test_another_master_is_remembered_for_five_seconds() -> None:

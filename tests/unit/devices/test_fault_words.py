@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from adaptdrive.config.polled import Heartbeat
 from adaptdrive.devices.can.assembly import StatusAssembly
 from adaptdrive.devices.can.mapping import map_drive
-from adaptdrive.devices.faults import FaultLatch, FaultWord
 from adaptdrive.devices.polled.mapping import map_drive as map_registers
 from adaptdrive.devices.polled.reports import PollAssembly
+from adaptdrive.safety.facts import FaultLatch, FaultWord
 from tests.support import text_of
 from tests.unit.config.modbus_documents import flaws, parse
 from tests.unit.devices.bench import MOTOR_BUS, TIMING, motor_signals

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.port import NewestValues
+from adaptdrive.safety.facts import FaultWord
 
 WORDS = {"fault": FaultWord("State", -1, {2: "hot"})}
 GOOD = {"output": 2.5, "boost_voltage_V": 300.0, "bridge": 1.0, "counter": 7.0, "fault": 0.0}

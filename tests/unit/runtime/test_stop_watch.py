@@ -12,7 +12,7 @@ import pytest
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order, Stage
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
-from adaptdrive.runtime.stopping import Stop, StopWatch
+from adaptdrive.safety.stop import Stop, StopWatch
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import RefusedError

@@ -11,8 +11,7 @@ from adaptdrive.devices.binding import BRIDGE
 from adaptdrive.devices.can import database
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.integrity import FrameVerdict
-from adaptdrive.devices.faults import FaultWord
-from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.facts import FaultWord, Reading
 from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import Flaw
 

@@ -24,8 +24,9 @@ from adaptdrive.devices.can import assembly, connection, integrity
 from adaptdrive.devices.can.assembly import CanMapping, CommandFrame, StatusFrame
 from adaptdrive.devices.can.bus import requests
 from adaptdrive.devices.can.codec import frame_key
-from adaptdrive.devices.faults import LEAPT, Obedience, OtherSender, Relink
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.monitor import LEAPT, OtherSender, Relink
+from adaptdrive.safety.stop import Obedience
 from adaptdrive.safety.timing import OBEY_S
 from adaptdrive.safety.trips import Trip, TripKind
 

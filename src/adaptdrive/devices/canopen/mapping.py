@@ -21,7 +21,7 @@ from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.canopen import dictionary
 from adaptdrive.devices.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
-from adaptdrive.devices.faults import FaultWord
+from adaptdrive.safety.facts import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Process data objects: packing entries into frames, and the codec of each frame.

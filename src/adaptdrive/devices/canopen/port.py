@@ -18,11 +18,13 @@ import can
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices import binding, description, faults
+from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, Row, bus_of, stale_limits
 from adaptdrive.devices.can.integrity import PROMPT_S
 from adaptdrive.devices.canopen import node, profile, sdo
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
+from adaptdrive.safety.monitor import OtherSender
+from adaptdrive.safety.stop import Obedience
 from adaptdrive.safety.timing import Timing, timing_of
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.clock import pulsing
@@ -60,10 +62,10 @@ class Port(node.NodePort):
         self._master = node.Master(config, self._set_up, self._connection.put, clock)
         self._emergency: profile.Emergency | None = None
         self._half_cycle_s = timing.half_cycle_s
-        self._obedience = faults.Obedience(timing.obeyed_s(0.0), clock)
+        self._obedience = Obedience(timing.obeyed_s(0.0), clock)
         self._beat_s = -math.inf
         self._been_up = False
-        self._others = faults.OtherSender(clock)
+        self._others = OtherSender(clock)
         self._takers |= self._make_takers()
         self._connection.caught_up = self.hand_out
 

@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterable
 
 from adaptdrive.config.references import DAY_S
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices import binding, description, faults
+from adaptdrive.devices import binding, description
 from adaptdrive.devices.polled import reports
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, block_words
 from adaptdrive.devices.polled.registers import Block, Exchange
+from adaptdrive.safety.stop import Obedience
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip
 
@@ -96,7 +97,7 @@ class Commander:
         self._alive = 0
         self._begun_s = -math.inf
         self._taken_s = timing.taken_s
-        self._obedience = faults.Obedience(timing.obeyed_s(timing.reading_s), clock)
+        self._obedience = Obedience(timing.obeyed_s(timing.reading_s), clock)
         self.safe_s = math.inf
 
     @property

@@ -14,9 +14,9 @@ from adaptdrive.config.bus import CommandSwitch
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.description import Sink, Source
-from adaptdrive.devices.faults import FaultWord
 from adaptdrive.devices.field import Field
 from adaptdrive.devices.polled import registers
+from adaptdrive.safety.facts import FaultWord
 from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.errors import ConfigurationError, Flaw
 

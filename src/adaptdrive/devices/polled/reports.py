@@ -5,11 +5,12 @@ from collections.abc import Callable, Sequence
 
 from adaptdrive.config.polled import Heartbeat
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.devices import binding, faults, port
+from adaptdrive.devices import binding, port
 from adaptdrive.devices.description import Source
 from adaptdrive.devices.polled.link import ExchangeError
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, explain, value_in
 from adaptdrive.devices.polled.registers import Block
+from adaptdrive.safety import monitor
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip, TripKind
@@ -51,7 +52,7 @@ class PollHistory:
         self._timing = timing
         self._look_s = look_s
         self._clock = clock
-        self._relink = faults.Relink()
+        self._relink = monitor.Relink()
         self._blank = True
         self._powered = self._tried = self._outdated = False
         self._read_s = self._seen_s = -math.inf
@@ -103,7 +104,7 @@ class PollHistory:
         """
         self.silent = self.silent or not answered
         if self._is_unheard:
-            how = faults.UNANSWERED if self.silent else faults.UNREAD
+            how = monitor.UNANSWERED if self.silent else monitor.UNREAD
             self._relink.open(bridge=self._given_on, how=how)
         self.silent, self._blank = not answered, True
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.runtime.stopping import BridgeWatch
+from adaptdrive.safety.monitor import BridgeWatch
 from adaptdrive.safety.timing import Timing
 from tests.support import text_of
 from tests.unit.runtime.bench import CALM

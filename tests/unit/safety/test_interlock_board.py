@@ -6,11 +6,10 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from adaptdrive.runtime.interlocks import InterlockBoard
 from adaptdrive.runtime.timebase import HalfCycles
 from adaptdrive.safety.facts import Reading
-from adaptdrive.safety.frame_rate import FrameRate
-from adaptdrive.safety.interlocks import Limits
+from adaptdrive.safety.frames import FrameRate
+from adaptdrive.safety.interlocks import InterlockBoard, Limits
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip
 from tests.loopback_port import LoopbackPort
@@ -59,7 +58,7 @@ def new_board(
     )
     half_cycles = HalfCycles(None, TICK_S)
     half_cycles.rate = rate or half_cycles.rate
-    return InterlockBoard(settings, PORT, half_cycles)
+    return InterlockBoard(settings, PORT, half_cycles.counts, half_cycles.rate)
 
 
 def board(*watches: NotedWatch, ticks_per_reading: int = 1) -> InterlockBoard:

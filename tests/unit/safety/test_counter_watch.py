@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.runtime.timebase import HalfCycles
-from adaptdrive.safety.counter import CounterWatch
+from adaptdrive.safety.frames import CounterWatch
 from adaptdrive.safety.trips import Trip, TripKind
 from tests.support import text_of
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from adaptdrive.config.root import DriveLimits, DriveSection
 from adaptdrive.control.signals import Command
-from adaptdrive.safety.capacitor import CapacitorBalance
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.guard import CapacitorBalance
 
 HALF_CYCLE_s = 1.0 / 120.0
 LINE_V = 120.0

@@ -14,7 +14,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Mode
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, Reset, SetMode, SetVoltage
 from adaptdrive.runtime.timebase import HalfCycles
-from adaptdrive.safety.frame_rate import FrameRate, verdict_ticks
+from adaptdrive.safety.frames import FrameRate, verdict_ticks
 from adaptdrive.util.errors import RefusedError
 from tests.unit.runtime.bench import TICK_S, FastBench, fast_bench, running_bench, timed
 
