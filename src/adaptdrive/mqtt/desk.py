@@ -188,8 +188,8 @@ class OperatorCommand:
         self, state: State | None, reason: str = "", trip_kind: str = "", *, accepted: bool = False
     ) -> contract.Reply:
         """Return a reply to it."""
-        told = accepted, _clean(reason), state, trip_kind or None
-        return contract.Reply(self.payload.id, self.verb, *told)
+        rest = accepted, _clean(reason), state, trip_kind or None
+        return contract.Reply(self.payload.id, self.verb, *rest)
 
 
 @dataclass

@@ -117,7 +117,9 @@ class FastLoop:
         self._assumes_voltage = "boost_voltage_V" in settings.limits.absent
         self._surroundings = surroundings
         counts, rate = self._half_cycles.counts, self._half_cycles.rate
-        self._interlocks = InterlockBoard(settings, port, counts, rate)
+        watches = [build() for build in settings.watches]
+        clocks = rate if settings.drive_clocks else None
+        self._interlocks = InterlockBoard(settings.limits, timing, watches, port, counts, clocks)
         self.stopping = stopping.Stopping(port, timing, machine, surroundings.not_stopped)
         self._order: signals.Order | None = None
         self._wanted = signals.SAFE_COMMAND

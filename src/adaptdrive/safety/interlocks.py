@@ -5,7 +5,7 @@ a cause is still there.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -149,26 +149,6 @@ class Source(Protocol):
         """Return the oldest value, and the likeliest cause of its age with its kind."""
 
 
-class InterlockSettings(Protocol):
-    """Trip levels, times and watches of one drive."""
-
-    @property
-    def limits(self) -> Limits:
-        """Trip levels."""
-
-    @property
-    def timing(self) -> Timing:
-        """Times of the drive."""
-
-    @property
-    def watches(self) -> tuple[Callable[[], Watch], ...]:
-        """Factories of the watches over the output, in the order of their causes."""
-
-    @property
-    def drive_clocks(self) -> bool:
-        """Whether the drive decides when a reading comes."""
-
-
 _PAUSE_READINGS = 3.0
 """Readings without an evaluation after which this process did not run: counts jump by as many."""
 
@@ -178,23 +158,30 @@ _PRIORITY = "give the daemon priority by realtime.priority: docs/proof/realtime.
 class InterlockBoard:
     """The interlocks of a drive, and the time since they were last evaluated."""
 
-    def __init__(
-        self, settings: InterlockSettings, port: Source, counts: CounterWatch, rate: FrameRate
+    def __init__(  # noqa: PLR0913, PLR0917 - all that is judged
+        self,
+        limits: Limits,
+        timing: Timing,
+        watches: Iterable[Watch],
+        port: Source,
+        counts: CounterWatch,
+        rate: FrameRate | None,
     ) -> None:
         """Evaluate nothing yet.
 
         Args:
-            settings: Trip levels, watches over the output and times of the drive.
+            limits: Trip levels.
+            timing: Times of the drive.
+            watches: Watches over the output, in the order of their causes.
             port: The drive.
             counts: Judge of its half-cycle counter.
-            rate: Rate of its frames, which counts unless this process decides it.
+            rate: Rate of its frames, None where this process decides it.
         """
-        timing = settings.timing
         reported, cycle_s = port.stop_slack_s is not None, port.bridge_cycle_s
         self._port = port
-        self._limits = settings.limits
-        self._watches = [build() for build in settings.watches]
-        self._rate = rate if settings.drive_clocks else None
+        self._limits = limits
+        self._watches = tuple(watches)
+        self._rate = rate
         self._counts = counts
         self._bridge = BridgeWatch(timing, reported=reported, cycle_s=cycle_s)
         self._watched_s = math.inf

@@ -14,7 +14,7 @@ from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip
 from tests.loopback_port import LoopbackPort
 from tests.support import a_trip, text_of
-from tests.unit.runtime.bench import CALM, FAST
+from tests.unit.runtime.bench import CALM
 
 TICK_S = 2.0**-7
 """A half cycle whose multiples are exact."""
@@ -33,9 +33,6 @@ class NotedWatch:
     seen: list[float] = field(default_factory=list)
     forgotten: int = 0
 
-    def build(self) -> NotedWatch:
-        return self
-
     def forget(self) -> None:
         self.forgotten += 1
 
@@ -49,16 +46,7 @@ def new_board(
 ) -> InterlockBoard:
     """A board that has not been looked at yet."""
     timing = Timing(TICK_S, STALE_S, ticks_per_reading)
-    settings = replace(
-        FAST,
-        limits=LIMITS,
-        timing=timing,
-        watches=tuple(one.build for one in watches),
-        drive_clocks=rate is not None,
-    )
-    half_cycles = HalfCycles(None, TICK_S)
-    half_cycles.rate = rate or half_cycles.rate
-    return InterlockBoard(settings, PORT, half_cycles.counts, half_cycles.rate)
+    return InterlockBoard(LIMITS, timing, watches, PORT, HalfCycles(None, TICK_S).counts, rate)
 
 
 def board(*watches: NotedWatch, ticks_per_reading: int = 1) -> InterlockBoard:

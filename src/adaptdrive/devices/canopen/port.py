@@ -38,6 +38,8 @@ _FAULT_RESET_S = 1.0
 _SDO_WRITES = frozenset({0, 1, 6})
 """Client command specifiers of SDO frames that write: segment, initiate and block download."""
 
+_WRITTEN = "another sender has written its objects: it is set up again when that is quiet"
+
 _UNFIT = frozenset({None, profile.DriveState.UNKNOWN, profile.DriveState.NOT_READY})
 
 _LOOK_S = 0.005
@@ -77,10 +79,8 @@ class Port(node.NodePort):
                 return seen.trip_cause
         if self._connection.bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, which is a separate cause
-        problem = self._problem_of_node()
-        if problem is None:
-            return None
-        return Trip(problem.kind, f"{sdo.describe_node(self._config)}: {problem}")
+        problem, node_name = self._problem_of_node(), sdo.describe_node(self._config)
+        return problem and Trip(problem.kind, f"{node_name}: {problem}")
 
     def _problem_of_node(self) -> Trip | None:
         """Return the most telling thing that is wrong with the node, None when nothing is.
@@ -96,14 +96,10 @@ class Port(node.NodePort):
         if not master.ready:
             return master.problem
         if master.overwritten:
-            written = (
-                "another sender has written its objects: it is set up again when that is quiet"
-            )
-            return Trip(TripKind.OBJECTS_WRITTEN, written)
-        if control.faulty or control.state in _UNFIT:
-            state = f"the drive's state is {control.state or 'not known yet'}"
-            return Trip(TripKind.STATE_UNFIT, state)
-        return None
+            return Trip(TripKind.OBJECTS_WRITTEN, _WRITTEN)
+        state = f"the drive's state is {control.state or 'not known yet'}"
+        unfit = control.faulty or control.state in _UNFIT
+        return Trip(TripKind.STATE_UNFIT, state) if unfit else None
 
     @property
     def safe_s(self) -> float:
@@ -152,7 +148,7 @@ class Port(node.NodePort):
 
     def details(self) -> list[str]:
         """Return the missing PDOs of the node."""
-        return [self._reports.explain()] if self._reports.missing else []
+        return [self.explain_age().text] if self._reports.missing else []
 
     async def reset_fault(self) -> None:
         """Have the drive leave its fault by an edge of the reset bit; ends in a second at most.

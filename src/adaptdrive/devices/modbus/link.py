@@ -215,7 +215,9 @@ class ModbusConnection(PolledLink):
         registers = self._checked(reply, asked, exchange)
         if hasty:
             self.suspect()
-            raise ExchangeError("a reply that may be one to an earlier request", doubtful=True)
+            late = ExchangeError("a reply that may be one to an earlier request")
+            late.doubtful = True
+            raise late
         return registers
 
     async def _reply_to(self, asked: bytes, exchange: Exchange) -> bytes:

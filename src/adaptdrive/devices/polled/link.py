@@ -33,33 +33,25 @@ _LONGEST = 4096
 _LINGER = struct.Struct("ii")
 """Linux's `struct linger`: whether it applies, and for how many seconds."""
 
+_REFUSED = TripKind.POLL_REFUSED
 _COUNT = struct.Struct("i")
 """Answer of the kernel to how much a connection still holds."""
 
 
 class ExchangeError(AdaptdriveError):
-    """An exchange gave nothing that may be used."""
+    """An exchange gave nothing that may be used.
 
-    def __init__(
-        self,
-        problem: str,
-        code: int | None = None,
-        *,
-        doubtful: bool = False,
-        kind: TripKind = TripKind.POLL_REFUSED,
-    ) -> None:
-        """Keep the reason.
+    Attributes:
+        problem: What went wrong.
+        code: Exception code of the device, None where it gave none.
+        kind: Kind of the trip that follows where it lasts.
+        doubtful: Whether a reply came that may be one to an earlier request.
+    """
 
-        Args:
-            problem: What went wrong.
-            code: Exception code of the device, None where it gave none.
-            doubtful: Whether a reply came that may be one to an earlier request.
-            kind: Kind of the trip that follows where it lasts.
-        """
-        self.problem = problem
-        self.code = code
-        self.doubtful = doubtful
-        self.kind = kind
+    doubtful = False
+
+    def __init__(self, problem: str, code: int | None = None, kind: TripKind = _REFUSED) -> None:
+        self.problem, self.code, self.kind = problem, code, kind
         super().__init__(problem)
 
 
