@@ -48,7 +48,7 @@ class ClientName:
 
     own: str
     monotonic: Callable[[], float]
-    alarm: Callable[[str], None]
+    alarm: Callable[[Trip], None]
     trip: Callable[[Trip], None]
 
     def __post_init__(self) -> None:
@@ -98,13 +98,14 @@ class ClientName:
     def _report_other(self, detail: str, *, certain: bool) -> None:
         """Report the other client, and trip where it is certain."""
         self._certain = certain
-        cause = (
+        cause = Trip(
+            TripKind.SECOND_CLIENT,
             f"second broker client: {detail}; likeliest a second daemon for this drive on another "
-            "machine: end it"
+            "machine: end it",
         )
         self.alarm(cause)
         if certain:
-            self.trip(Trip(TripKind.SECOND_CLIENT, cause))
+            self.trip(cause)
 
 
 # The connection to a broker: made, kept, and made again.

@@ -20,7 +20,7 @@ import msgspec
 
 from adaptdrive.mqtt import contract
 from adaptdrive.runtime import reports
-from adaptdrive.safety.trips import TripKind, remedy
+from adaptdrive.safety.trips import Trip, TripKind, remedy
 
 # Reports to publish: the present state, and queues of what was not published yet.
 
@@ -256,6 +256,11 @@ class Intake:
     def report(self, kind: str, severity: reports.Severity, detail: str) -> None:
         """Publish an event of the operators' side to the log, the recording and the broker."""
         self.hub.publish(reports.Event(kind, severity, detail, -1))
+
+    def report_other(self, cause: Trip) -> None:
+        """Report another client that has this daemon's name, or publishes as its drive."""
+        alarm = reports.Severity.ALARM
+        self.hub.publish(reports.Event("broker", alarm, cause.text, -1, cause.kind))
 
     def report_no_commands(self, detail: str) -> None:
         """Report that no command arrives, not even a stop."""

@@ -12,7 +12,6 @@ import time
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 
 from aiomqtt import Will
 
@@ -259,9 +258,8 @@ class MqttService:
         history = publisher.History(surroundings.monotonic)
         self._intake = publisher.Intake(hub, self._board, outbox, history, wall, profile.output)
         self._desk = self._build_desk(hub)
-        alarm = partial(self._intake.report, "broker", reports.Severity.ALARM)
-        name, monotonic = f"adaptdrive-{drive}", surroundings.monotonic
-        self._name = connection.ClientName(name, monotonic, alarm, host.trip)
+        name, alarm = f"adaptdrive-{drive}", self._intake.report_other
+        self._name = connection.ClientName(name, surroundings.monotonic, alarm, host.trip)
         will = Will(self._topics.availability, contract.OFFLINE, qos=1, retain=True)
         self._link = connection.BrokerLink(settings, self._name, will, surroundings.uniform)
 

@@ -136,6 +136,8 @@ async def test_a_foreign_client_of_the_name_at_mosquitto_is_reported(
         foreign = spawn("mosquitto_sub", *address, "-i", "adaptdrive-rival", "-t", "tests/x")
         event = await ear.until(lambda message: message.content["kind"] == "broker")
         assert "second broker client" in event.content["detail"]
+        assert event.content["trip_kind"] == "second-client"
+        assert "end the second daemon" in event.content["remedy"]
         assert (await ask(bench, "disable", '{"id": "a"}'))["accepted"]
         assert foreign.poll() is None
 
