@@ -70,7 +70,8 @@ const SitePage = (() => {
     texts.forEach((text, i) => { if (text !== null) Dom.say(cells[i], text); });
     drawCourse(/** @type {HTMLCanvasElement} */ (cells[2].firstElementChild), drive.points);
     Dom.mark(cells[0], "data-state", drive.shown);
-    Dom.mark(cells[0], "title", drive.shown === "tripped" ? Drives.explain(state?.trip_kind ?? "") : "");
+    const link = /** @type {HTMLElement} */ (row.querySelector(".whole"));
+    Dom.mark(link, "title", drive.shown === "tripped" ? Drives.explain(state?.trip_kind ?? "") : "");
     row.classList.toggle("stale", !drive.live);
   }
 
