@@ -73,6 +73,7 @@ docs: $(installed) ## write the pages that are made from the code
 	$(bin)/python -m tools.pages.columns_page docs/columns.md
 	$(bin)/python -m tools.pages.constants_page docs/proof/constants.md
 	$(bin)/python -m tools.pages.trips_table docs/operation.md
+	$(bin)/python -m tools.pages.limits_table docs/proof/obedience.md
 	$(bin)/python -m tools.pages.asyncapi docs/mqtt
 	$(bin)/python -m tools.proof.page docs/proof/proof.md docs/proof/reliability.md
 

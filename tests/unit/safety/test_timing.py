@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from adaptdrive.safety.timing import Timing
+from tools.pages.limits_table import with_table
+
+CHECKOUT = Path(__file__).parents[3]
 
 EACH = Timing(half_cycle_s=0.01, stale_s=0.05)
 POLLED = Timing(half_cycle_s=0.01, stale_s=0.35, ticks_per_reading=20)
@@ -106,3 +110,8 @@ def test_a_drive_has_its_stop_and_a_report_of_it_before_it_counts_as_disobedient
     stop_s: float, report_s: float, limit_s: float
 ) -> None:
     assert replace(EACH, stop_s=stop_s).obeyed_s(report_s) == about(limit_s)
+
+
+def test_the_table_of_limits_is_current() -> None:
+    page = (CHECKOUT / "docs" / "proof" / "obedience.md").read_text(encoding="utf-8")
+    assert page == with_table(page), "run `make docs`"
