@@ -59,7 +59,8 @@ class ScpiConnection(link.PolledLink):
 
     def suspect(self) -> None:
         """Give the connection up: a reply may be one to another request."""
-        self.lost = self.lost or "a reply came that nothing asked for"
+        if self.lost is None:
+            self.lost, self.lost_kind = "a reply came that nothing asked for", TripKind.POLL_REFUSED
 
     async def exchange(
         self, exchange: Exchange, words: list[int], void: link.Void | None = link.never
@@ -122,9 +123,10 @@ class ScpiConnection(link.PolledLink):
         reply = await self._reply(self._ended(lines), self._first_line)
         if reply is None:
             asked = " and ".join(map(repr, lines)) + self._unfinished()
-            self.lost = self.lost or f"no reply within {self._timeout_s:g} s to {asked}"
-            ended = TripKind.NO_LINE_END if stream.received else TripKind.NO_REPLY
-            raise link.ExchangeError(self.lost, kind=ended)
+            if self.lost is None:
+                self.lost = f"no reply within {self._timeout_s:g} s to {asked}"
+                self.lost_kind = TripKind.NO_LINE_END if stream.received else TripKind.NO_REPLY
+            raise link.ExchangeError(self.lost, kind=self.lost_kind)
         stream.received = stream.received[len(reply) :]
         self._counts["received"] += 1
         return reply.decode("ascii", "replace").strip()

@@ -173,7 +173,7 @@ class PolledLink(ABC):
     """An open link to a device that answers each exchange.
 
     Attributes:
-        lost: Why the link can no longer be used, None while it can.
+        lost: Why the link can no longer be used, None while it can; `lost_kind` is of what kind.
         asked_s: When the last request was sent; monotonic.
     """
 
@@ -195,6 +195,7 @@ class PolledLink(ABC):
         self._stream = Stream()
         self._answered = False
         self.lost: str | None = None
+        self.lost_kind = TripKind.NO_REPLY
         self.asked_s = clock()
 
     async def open(self) -> None:
@@ -252,7 +253,7 @@ class PolledLink(ABC):
         """
         self._note_end()
         if self.lost is not None:
-            raise ExchangeError(self.lost, kind=TripKind.NO_REPLY)
+            raise ExchangeError(self.lost, kind=self.lost_kind)
         self.asked_s = self._clock()
         if void is not None and void():  # asked last: the process may have stood still until here
             raise OvertakenError("not sent: it was no longer wanted")

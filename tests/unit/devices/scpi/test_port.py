@@ -275,6 +275,20 @@ async def test_a_reply_without_its_end_is_quoted_with_its_remedy(rig: Rig) -> No
     assert kind_of(rig) is TripKind.NO_LINE_END
 
 
+async def test_a_supply_that_hangs_up_within_a_reply_is_no_matter_of_its_line_end(rig: Rig) -> None:
+    await rig.hears()
+
+    def hang_up(line: str) -> bytes | None:
+        if line != "MEAS:POW?":
+            return None
+        asyncio.get_running_loop().call_later(0.01, rig.supply.hang_up)
+        return b"45"
+
+    rig.supply.spoil = hang_up
+    await until(lambda: "closed the connection" in str(rig.port.explain_age()))
+    assert kind_of(rig) is TripKind.NO_REPLY
+
+
 @pytest.mark.parametrize("rig", [{"setup": {"limit": 44.0}}], indirect=True)
 async def test_a_supply_that_keeps_another_limit_is_named_by_its_reply(rig: Rig) -> None:
     rig.supply.replies["VOLT:PROT?"] = "10.0V"
@@ -303,6 +317,8 @@ async def test_a_reply_that_nothing_asked_for_ends_the_connection(rig: Rig) -> N
     rig.supply.spoil = lambda line: b"45\n45\n" if line == "MEAS:POW?" else None
     connections, known = rig.supply.connections, len(rig.ear.readings)
     await until(lambda: rig.supply.connections > connections)
+    await until(lambda: "nothing asked for" in str(rig.port.explain_age()))
+    assert kind_of(rig) is TripKind.POLL_REFUSED
     rig.supply.spoil = lambda _: None
     await rig.hears()
     assert {one.output for one in rig.ear.readings[known:]} == {3.25}
@@ -344,6 +360,7 @@ async def test_a_reply_that_is_no_voltage_is_not_used_and_the_stop_is_confirmed_
     await rig.hears()
     gives = f"MEAS:VOLT? gives {reply.decode().strip()!r}, no number in its range"
     assert str(rig.port.explain_age()) == f"the polls give no reading: boost_voltage_V: {gives}"
+    assert kind_of(rig) is TripKind.VALUE_REFUSED
     assert {round(one.boost_voltage_V, 6) for one in rig.ear.readings} == {300.12}
 
 
