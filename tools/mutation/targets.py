@@ -101,7 +101,7 @@ DEVICES: dict[str, tuple[str, ...]] = {
         "tests/unit/devices/scpi/test_port.py",
         "tests/contracts/port/test_port.py",
     ),
-    "adaptdrive.devices.faults": (
+    "adaptdrive.safety.facts": (
         "tests/unit/devices/test_fault_words.py",
         *_CAN_PORT,
         "tests/unit/devices/canopen/test_port.py",
