@@ -13,6 +13,7 @@ from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.load import Charging
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.signals import Measurement, Mode, Order, Snapshot, Stage
+from adaptdrive.safety.trips import TripKind
 from adaptdrive_sim.world import NoiseParameters
 from tests.integration.closed_loop.bench import (
     EXACT,
@@ -135,16 +136,19 @@ def test_a_charge_that_lasts_too_long_is_a_fault_in_every_mode(mode: Mode) -> No
     """With a slow period of 2 s and a longest charge of 36 s."""
     charging = replace(BATTERY.charging, longest_s=36.0)  # type: ignore[type-var]
     controller = Controller(replace(EXACT, rates=SMALL), replace(BATTERY, charging=charging))
-    faults = []
+    faults, kinds = [], set()
     for tick in range(1, 160):
         controller.tick(measured(tick, 2.0, period_s=1.0), replace(order(2.0), mode=mode))
         if (snapshot := controller.take_snapshot()) is not None:
-            faults.append((tick, controller.decide(snapshot).fault))
+            decision = controller.decide(snapshot)
+            faults.append((tick, decision.fault))
+            kinds.add((decision.fault_kind, bool(decision.fault)))
     text = (
         "charge time: the charge has not ended within load.charge.longest_h = 0.01 h: does the "
         "current sensor read too high?"
     )
     assert {fault for _, fault in faults} == {"", text}
+    assert kinds == {("", False), (TripKind.CHARGE_TOO_LONG, True)}
     assert 36 < min(tick for tick, fault in faults if fault) <= 36 + 2 * SMALL.ticks_per_period
     assert [fault for _, fault in faults] == sorted(fault for _, fault in faults)
 

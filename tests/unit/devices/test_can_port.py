@@ -21,6 +21,7 @@ from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.interlocks import Limits, find_cause
 from adaptdrive.safety.monitor import QUIET_S
 from adaptdrive.safety.stop import Stop, StopWatch
+from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import BusError
 from tests.support import text_of
 from tests.unit.devices.bench import (
@@ -709,9 +710,11 @@ async def test_an_error_while_opening_leaves_no_bus_open(bench: Bench) -> None:
 async def test_the_oldest_value_is_named_with_its_cause(bench: Bench) -> None:
     port = bench.port
     assert str(port.explain_age()).endswith("the bus is lost")
+    assert port.explain_age().kind is TripKind.BUS_LOST
     async with bench.running():
         assert "(0x100 (DriveStatus), " in str(port.explain_age())
         assert "has never come: no message comes" in str(port.explain_age())
+        assert port.explain_age().kind is TripKind.NO_MESSAGE
         await bench.reports()
         bench.clock.now_s += 0.1
         bench.drive.send_load()
@@ -723,15 +726,18 @@ async def test_the_oldest_value_is_named_with_its_cause(bench: Bench) -> None:
         )
         assert " come before" in str(status)
         assert "as often as interlocks.stale_s needs?" in str(status)
+        assert status.kind is TripKind.MESSAGE_MISSING
         bench.drive.put("DriveStatus", bytes(8))
         await until(lambda: port.statistics.wrong_checksum == 1)
         refused = "its frames come and are refused (wrong_checksum, 1 in a row)"
         assert refused in str(port.explain_age())
+        assert port.explain_age().kind is TripKind.FRAMES_REFUSED
         assert any("wrong_checksum 1 x, last [00 00" in line for line in port.details())
         bench.clock.now_s += 0.1
         await bench.reports()
         bench.clock.now_s += 0.1
         assert "no message comes" in str(port.explain_age())
+        assert port.explain_age().kind is TripKind.NO_MESSAGE
 
 
 async def test_the_oldest_value_is_named_with_its_own_age(bench: Bench) -> None:

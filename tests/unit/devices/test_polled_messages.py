@@ -19,6 +19,7 @@ from adaptdrive.devices.can.kind import build_can_sensors
 from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.interlocks import Limits, find_cause
+from adaptdrive.safety.trips import TripKind
 from tests.support import text_of
 from tests.unit.devices.bench import (
     LOAD,
@@ -136,6 +137,7 @@ async def test_a_drive_that_answers_only_is_read_each_half_cycle_until_it_is_sil
         known = len(device.asked)
         await until(lambda: cause(port, ear.readings[-1]) is not None)
         assert "no reply to its requests: check bus.polled" in (cause(port, ear.readings[-1]) or "")
+        assert port.explain_age().kind is TripKind.MESSAGE_MISSING
         await until(lambda: len(device.asked) > known)
         device.answers = True
         known = len(ear.readings)

@@ -125,6 +125,11 @@ async def test_no_bad_value_is_used_and_the_drive_can_be_made_safe(name: str) ->
         assert one.told() == [0, 0]
 
 
+def kind_of(one: Bench) -> TripKind:
+    """Return the kind of trip for which the values are old."""
+    return one.port.explain_age().kind
+
+
 EXPLAINED: dict[str, tuple[Fault, str]] = {
     "device": (
         {"spoil": lambda reply: [(0.0, reply[:6] + b"\xff" + reply[7:])]},
@@ -181,6 +186,7 @@ async def test_a_drive_that_does_not_answer_is_reported_and_its_return_too() -> 
         one.peer.spoil = lambda _: [(0.0, bytes((0, 1, 4)))]
         shown = "no reply within 0.04 s; bytes that are no reply: 00 01 04"
         await until(lambda: shown in str(one.port.explain_age()))
+        assert kind_of(one) is TripKind.NO_REPLY
 
 
 @pytest.mark.parametrize("kind", ["tcp", "rtu"])
@@ -315,6 +321,7 @@ async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(
         await until(lambda: one.port.statistics.foreign >= 20)
         assert one.mixed_up() <= 1
         await until(lambda: "two devices with the same id" in str(one.port.explain_age()))
+        assert kind_of(one) is TripKind.POLL_REFUSED
         make(one.peer, HEALTHY)
         await one.hears(2)
         one.ear.readings.clear()
@@ -445,6 +452,7 @@ async def test_a_heartbeat_may_be_slower_than_the_polls_where_that_is_said(
         else:
             await one.hears(4)
             await until(lambda: one.port.statistics.counter_stuck >= 2)
+            assert kind_of(one) is TripKind.HEARTBEAT_STANDS
             heard = len(one.ear.readings)
             await one.asks(6)
         assert len(one.ear.readings) == heard

@@ -10,6 +10,7 @@ from statistics import median
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import BusError
 from tests.unit.devices import memory
 from tests.unit.devices.bench import Ear, until
@@ -373,7 +374,8 @@ async def test_a_register_without_a_value_confirms_no_stop(coded: str) -> None:
         await one.asks(12)
         assert one.ear.readings[-1].bridge
         why = "bridge: input 5 (address from 0) holds ffff, its word for no value"
-        assert why in str(one.port.explain_age())
+        told = one.port.explain_age()
+        assert (told.kind, why in told.text) == (TripKind.VALUE_REFUSED, True)
         one.peer.state = 0
         await one.hears(2)
         assert not one.ear.readings[-1].bridge
