@@ -12,8 +12,9 @@ from pathlib import Path
 
 from adaptdrive.config import load_configuration
 from adaptdrive.safety.timing import Timing, timing_of
+from tools.pages.marked import with_part
 
-BEGIN, END = "<!-- limits: written by `make docs` -->\n", "<!-- end of limits -->\n"
+MARKS = "<!-- limits: written by `make docs` -->\n", "<!-- end of limits -->\n"
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 DRIVES = ("motor", "motor-modbus-tcp", "motor-cia402")
 
@@ -46,9 +47,7 @@ def with_table(page: str) -> str:
     Args:
         page: Text of the page.
     """
-    before, rest = page.split(BEGIN)
-    _, after = rest.split(END)
-    return before + BEGIN + table() + END + after
+    return with_part(page, MARKS, table())
 
 
 if __name__ == "__main__":

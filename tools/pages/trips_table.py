@@ -6,9 +6,10 @@
 import sys
 from pathlib import Path
 
-from adaptdrive.safety.trips import advices
+from adaptdrive.safety.trips import ADVICES
+from tools.pages.marked import with_part
 
-BEGIN, END = "<!-- trips: written by `make docs` -->\n", "<!-- end of trips -->\n"
+MARKS = "<!-- trips: written by `make docs` -->\n", "<!-- end of trips -->\n"
 
 LONGEST = 10
 """Words of a trip that the table shows, from its beginning."""
@@ -27,7 +28,7 @@ def table() -> str:
     """Return the table as Markdown."""
     rows = [
         f"| `{kind}` | `{shown(one.example)}` | {one.cause} | {one.remedy} |"
-        for kind, one in advices().items()
+        for kind, one in ADVICES.items()
     ]
     return "\n".join(["| kind | text | cause | remedy |", "|---|---|---|---|", *rows, ""])
 
@@ -38,9 +39,7 @@ def with_table(page: str) -> str:
     Args:
         page: Text of the page.
     """
-    before, rest = page.split(BEGIN)
-    _, after = rest.split(END)
-    return before + BEGIN + table() + END + after
+    return with_part(page, MARKS, table())
 
 
 if __name__ == "__main__":

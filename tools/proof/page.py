@@ -10,11 +10,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tests.integration.faults.rows import GROUPS
+from tools.pages.marked import with_part
 from tools.proof.forms import Form, forms
 from tools.proof.results import RESULTS, Result, load
 from tools.proof.summaries import counted, fault_matrix, table
 
-BEGIN, END = "<!-- faults: written by `make docs` -->\n", "<!-- end of faults -->\n"
+MARKS = "<!-- faults: written by `make docs` -->\n", "<!-- end of faults -->\n"
 INTRODUCTION = """# Proof
 
 Results of the long tests, for readers who check a claim. `make proof` runs the *forms* that have no
@@ -85,9 +86,7 @@ def with_faults(text: str, folder: Path = RESULTS) -> str:
         text: The page.
         folder: Where results are kept.
     """
-    before, rest = text.split(BEGIN)
-    _, after = rest.split(END)
-    return before + BEGIN + _faults(folder) + END + after
+    return with_part(text, MARKS, _faults(folder))
 
 
 def _faults(folder: Path) -> str:
