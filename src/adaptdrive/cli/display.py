@@ -117,8 +117,8 @@ def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
     last = commands.part(state, "last_trip")
     if not last and not state.get("trip"):
         return []
-    told = f"{_moment(last.get('time'))}: {last.get('text')}"
-    row = ("last trip", with_kind(told, last.get("kind")))
+    text = f"{_moment(last.get('time'))}: {last.get('text')}"
+    row = ("last trip", with_kind(text, last.get("kind")))
     if state.get("trip"):
         row = ("trip", with_kind(str(state["trip"]), state.get("trip_kind")))
     return [row, *([("remedy", str(last["remedy"]))] if last.get("remedy") else [])]

@@ -3,7 +3,7 @@
 from dataclasses import asdict
 
 from adaptdrive.cli.options import Json, print_each, print_json
-from adaptdrive.safety.trips import Advice, TripKind, advices, kind_of
+from adaptdrive.safety.trips import ADVICES, Advice, TripKind, kind_of
 from adaptdrive.util.errors import ConfigurationError, nearest
 
 _WIDTH = max(len(kind) for kind in TripKind)
@@ -20,7 +20,7 @@ def explain(kind: str | None = None, /, *, as_json: Json = False) -> int:
         ConfigurationError: There is no such kind.
     """
     if kind is None:
-        known = advices().items()
+        known = ADVICES.items()
         rows = ((f"{one:<{_WIDTH}}  {_plain(it.cause)}", _content(one, it)) for one, it in known)
         print_each(rows, as_json)
         return 0
@@ -28,7 +28,7 @@ def explain(kind: str | None = None, /, *, as_json: Json = False) -> int:
     if found is None:
         hint = nearest(kind, [one.value for one in TripKind]) or "; `adaptdrive explain` lists all"
         raise ConfigurationError.of("explain", kind, f"no trip is of this kind{hint}")
-    content = _content(found, advices()[found])
+    content = _content(found, ADVICES[found])
     if as_json:
         print_json(content)
     else:

@@ -22,7 +22,7 @@ import pyarrow as pa
 
 from adaptdrive.recording import journal_files, reader, records, segments, session, tables, writer
 from adaptdrive.runtime.reports import MONOTONIC, Severity
-from adaptdrive.safety.trips import TripKind, advices, kind_of, remedy
+from adaptdrive.safety.trips import ADVICES, TripKind, kind_of, remedy
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
 
 # The record of a trip: a small session with the time around it.
@@ -102,7 +102,7 @@ def _advice(kind: TripKind | None) -> list[str]:
     """Return the kind of a trip, its remedy, and the page of the manual that says more."""
     if kind is None:
         return []
-    return [f"kind: {kind}", f"remedy: {remedy(kind)}", f"page: {advices()[kind].page}"]
+    return [f"kind: {kind}", f"remedy: {remedy(kind)}", f"page: {ADVICES[kind].page}"]
 
 
 # The archive: a fold from the log of a drive to the folders of its sessions.

@@ -7,7 +7,6 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
 from importlib import resources
 
 
@@ -117,12 +116,14 @@ class Advice:
     page: str
 
 
-@cache
-def advices() -> Mapping[TripKind, Advice]:
-    """Return the advice for each kind of trip, as `trips.toml` gives it."""
+def _advices() -> Mapping[TripKind, Advice]:
     file = resources.files("adaptdrive.safety") / "trips.toml"
     tables = tomllib.loads(file.read_text(encoding="utf-8"))
     return {TripKind(kind): Advice(**table) for kind, table in tables.items()}
+
+
+ADVICES = _advices()
+"""Advice for each kind of trip, as `trips.toml` gives it: read at the start, never at a trip."""
 
 
 def remedy(kind: TripKind | None) -> str:
@@ -131,4 +132,4 @@ def remedy(kind: TripKind | None) -> str:
     Args:
         kind: Kind of the trip.
     """
-    return "" if kind is None else advices()[kind].remedy.replace("`", "")
+    return "" if kind is None else ADVICES[kind].remedy.replace("`", "")

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from adaptdrive.safety.trips import TripKind, advices, remedy
+from adaptdrive.safety.trips import ADVICES, TripKind, remedy
 from tests.unit.cli.here import run_here
 
 
@@ -26,16 +26,16 @@ def test_a_kind_is_explained_with_its_cause_its_remedy_and_its_page() -> None:
 
 @pytest.mark.parametrize("kind", TripKind)
 def test_each_kind_is_explained_to_programs(kind: TripKind) -> None:
-    told = json.loads(run_here("explain", kind.value, "--json").stdout)
-    assert told["kind"] == kind.value
-    assert told["page"] == advices()[kind].page
-    assert all(told.values())
+    printed = json.loads(run_here("explain", kind.value, "--json").stdout)
+    assert printed["kind"] == kind.value
+    assert printed["page"] == ADVICES[kind].page
+    assert all(printed.values())
 
 
 def test_all_kinds_are_listed_in_a_line_each() -> None:
     lines = run_here("explain").stdout.splitlines()
-    assert [line.split()[0] for line in lines] == [kind.value for kind in advices()]
-    cause = advices()[TripKind.SLOW_LOOP].cause
+    assert [line.split()[0] for line in lines] == [kind.value for kind in ADVICES]
+    cause = ADVICES[TripKind.SLOW_LOOP].cause
     assert next(line for line in lines if line.startswith("slow-loop ")).endswith(f"  {cause}")
     listed = json.loads(run_here("explain", "--json").stdout)
     assert {one["kind"] for one in listed} == {kind.value for kind in TripKind}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.safety.trips import TripKind, advices, kind_of, remedy
+from adaptdrive.safety.trips import ADVICES, TripKind, kind_of, remedy
 from tests.unit.deploy.test_links import anchors
 from tools.pages.trips_table import with_table
 
@@ -33,7 +33,7 @@ def test_a_kind_of_trip_is_produced(kind: TripKind, named: set[str]) -> None:
 
 @pytest.mark.parametrize("kind", TripKind)
 def test_a_kind_of_trip_has_an_advice(kind: TripKind) -> None:
-    advice = advices()[kind]
+    advice = ADVICES[kind]
     assert all((advice.example, advice.cause, advice.remedy))
     assert "`" not in remedy(kind)
     assert kind_of(kind.value) is kind
@@ -41,7 +41,7 @@ def test_a_kind_of_trip_has_an_advice(kind: TripKind) -> None:
 
 @pytest.mark.parametrize("kind", TripKind)
 def test_the_page_of_a_kind_of_trip_is_in_the_manual(kind: TripKind) -> None:
-    path, _, anchor = advices()[kind].page.partition("#")
+    path, _, anchor = ADVICES[kind].page.partition("#")
     assert (CHECKOUT / path).is_file()
     assert not anchor or anchor in anchors(CHECKOUT / path)
 

@@ -19,7 +19,7 @@ from adaptdrive.recording.session import (
     read_info,
     session_directories,
 )
-from adaptdrive.safety.trips import TripKind, advices, remedy
+from adaptdrive.safety.trips import ADVICES, TripKind, remedy
 from adaptdrive.util.errors import RecordingError
 from tests.unit.recording.material import (
     INFO,
@@ -268,7 +268,7 @@ def test_the_record_of_a_trip_names_its_kind_its_remedy_and_a_page(place: Place)
     place.next_start()
     (record,) = trips_of(place)
     lines = (record / "trip.txt").read_text(encoding="utf-8").splitlines()
-    advice = advices()[TripKind.OVER_VOLTAGE]
+    advice = ADVICES[TripKind.OVER_VOLTAGE]
     assert "kind: over-voltage" in lines
     assert f"remedy: {remedy(TripKind.OVER_VOLTAGE)}" in lines
     assert f"page: {advice.page}" in lines

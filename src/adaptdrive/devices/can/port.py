@@ -202,11 +202,13 @@ class Port:
         if status.codec.name in self._config.polled:
             hint = "check bus.polled, the id, the drive and its cable"
             return TripKind.MESSAGE_MISSING, f"no reply to its requests: {hint}"
+        if others_come and came:
+            others = "other messages come, and this one has come before"
+            hint = "does the drive still send it, and as often as interlocks.stale_s needs?"
+            return TripKind.MESSAGE_MISSING, f"{others}: {hint}"
         if others_come:
-            again = "this one has come before: does the drive still send it, and as often as"
-            asked = f", and {again} interlocks.stale_s needs?"
-            never = ": is this one switched on in the drive, with this id?"
-            return TripKind.MESSAGE_MISSING, f"other messages come{asked if came else never}"
+            hint = "is this one switched on in the drive, with this id?"
+            return TripKind.MESSAGE_MISSING, f"other messages come: {hint}"
         hint = "check the drive's supply, the cable, the bit rate, the ids"
         return TripKind.NO_MESSAGE, f"no message comes: {hint}"
 

@@ -39,7 +39,7 @@ _SDO_WRITES = frozenset({0, 1, 6})
 """Client command specifiers of SDO frames that write: segment, initiate and block download."""
 
 _WRITTEN = "another sender has written its objects: it is set up again when that is quiet"
-
+_NOT_YET = "not known yet"
 _UNFIT = frozenset({None, profile.DriveState.UNKNOWN, profile.DriveState.NOT_READY})
 
 _LOOK_S = 0.005
@@ -79,8 +79,8 @@ class Port(node.NodePort):
                 return seen.trip_cause
         if self._connection.bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, which is a separate cause
-        problem, node_name = self._problem_of_node(), sdo.describe_node(self._config)
-        return problem and Trip(problem.kind, f"{node_name}: {problem}")
+        problem = self._problem_of_node()
+        return problem and Trip(problem.kind, f"{sdo.describe_node(self._config)}: {problem}")
 
     def _problem_of_node(self) -> Trip | None:
         """Return the most telling thing that is wrong with the node, None when nothing is.
@@ -97,9 +97,9 @@ class Port(node.NodePort):
             return master.problem
         if master.overwritten:
             return Trip(TripKind.OBJECTS_WRITTEN, _WRITTEN)
-        state = f"the drive's state is {control.state or 'not known yet'}"
-        unfit = control.faulty or control.state in _UNFIT
-        return Trip(TripKind.STATE_UNFIT, state) if unfit else None
+        if not (control.faulty or control.state in _UNFIT):
+            return None
+        return Trip(TripKind.STATE_UNFIT, f"the drive's state is {control.state or _NOT_YET}")
 
     @property
     def safe_s(self) -> float:

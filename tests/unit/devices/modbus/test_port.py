@@ -374,8 +374,8 @@ async def test_a_register_without_a_value_confirms_no_stop(coded: str) -> None:
         await one.asks(12)
         assert one.ear.readings[-1].bridge
         why = "bridge: input 5 (address from 0) holds ffff, its word for no value"
-        told = one.port.explain_age()
-        assert (told.kind, why in told.text) == (TripKind.VALUE_REFUSED, True)
+        cause = one.port.explain_age()
+        assert (cause.kind, why in cause.text) == (TripKind.VALUE_REFUSED, True)
         one.peer.state = 0
         await one.hears(2)
         assert not one.ear.readings[-1].bridge
