@@ -10,7 +10,11 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Snapshot
 from adaptdrive.devices.port import Listener, PortStatistics
 from adaptdrive.runtime.reports import TickReport
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.monitor import Monitor
+from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip
+
+_TIMING = Timing(1.0 / 120.0, 0.05)
 
 
 class LoopbackPort:
@@ -20,28 +24,32 @@ class LoopbackPort:
         description: The bus in one phrase for people.
         counter_modulus: Where the counter of the readings wraps, None when they carry none.
         trip_cause: Why the drive must not be energised; set it to whatever it shall say.
-        safe_s: Minus infinity once the safe command is in force: it is taken at once.
-        stop_slack_s: 0; None makes a drive that never says whether its bridge is on.
+        monitor: What the drive has reported; the safe command is taken at once, before all time.
     """
 
     description = "loopback"
 
     def __init__(
-        self, commanded: Callable[[Command], None], *, counter_modulus: int | None = 65536
+        self,
+        commanded: Callable[[Command], None],
+        *,
+        counter_modulus: int | None = 65536,
+        timing: Timing = _TIMING,
+        slack_s: float | None = 0.0,
     ) -> None:
         """Build a port.
 
         Args:
             commanded: Called with each command that is sent.
             counter_modulus: Where the counter of the readings wraps.
+            timing: Times of the drive.
+            slack_s: None makes a drive that never says whether its bridge is on.
         """
         self.counter_modulus = counter_modulus
         self._commanded = commanded
         self._listener: Listener | None = None
         self.trip_cause: Trip | None = None
-        self.safe_s = math.inf
-        self.stop_slack_s: float | None = 0.0
-        self.bridge_cycle_s = 0.0
+        self.monitor = Monitor(timing, lambda: -math.inf, slack_s=slack_s)
         self._up = False
         self._received = self._sent = self._dropped = self._reconnects = 0
 
@@ -74,11 +82,15 @@ class LoopbackPort:
     def send(self, command: Command) -> bool:
         """Hand one command to the callback; False while the bus is down."""
         if not self._up:
+            self.monitor.command(command)
             self._dropped += 1
             return False
         self._sent += 1
         self._commanded(command)
-        self.safe_s = -math.inf if command == SAFE_COMMAND else math.inf
+        self.monitor.command(command)
+        self.monitor.given = command.bridge
+        if command == SAFE_COMMAND:
+            self.monitor.take_safe()
         return True
 
     def catch_up(self) -> None:
@@ -98,6 +110,9 @@ class LoopbackPort:
         """Hand a reading to the listener, as if the drive had sent it; lost while down."""
         if self._listener and self._up:
             self._received += 1
+            came_s = reading.arrival_s if reading.bridge_s is None else reading.bridge_s
+            asked_s = reading.bridge_reported_s
+            self.monitor.report(on=reading.bridge, asked_s=asked_s, came_s=came_s)
             self._listener.on_reading(reading)
 
     def lose(self, detail: str = "loopback: lost") -> None:
@@ -109,6 +124,7 @@ class LoopbackPort:
     def restore(self) -> None:
         """Bring the bus up, also where nobody is served yet."""
         self._up = True
+        self.monitor.lose()
         if self._listener:
             self._reconnects += 1
             self._listener.on_bus(up=True, detail=self.description)

@@ -40,7 +40,7 @@ _LOOP = "runtime.fast_loop:FastLoop."
 _CYCLES = "runtime.timebase:HalfCycles."
 _RATE = "safety.frames:"
 _COUNTER = "safety.frames:CounterWatch."
-_BRIDGE = "safety.monitor:BridgeWatch."
+_MONITOR = "safety.monitor:Monitor."
 
 RUNTIME: dict[str, str] = {
     "runtime.settings:ManualVoltage.value: if abs(distance_V) <= way_V: -> "
@@ -90,18 +90,12 @@ RUNTIME: dict[str, str] = {
     "if stray is not None and self._off(stray, count) < _PACE_TICKS:": _DOUBT_BOUND,
     f"{_COUNTER}_judge: if self._passed(stray, count) >= sure_ticks: -> "
     "if self._passed(stray, count) > sure_ticks:": _TIME_BOUND,
-    f"{_BRIDGE}__init__: self._gap_s = self._silent_s = 0.0 -> "
-    "self._gap_s = self._silent_s = 1.0": _SET_BEFORE_USE,
-    f"{_BRIDGE}__init__: self._gap_end_s = self._silence_end_s = -math.inf -> "
-    "self._gap_end_s = self._silence_end_s = math.inf": _SET_BEFORE_USE,
-    f"{_BRIDGE}_note_on: if _bridge_report_s(reading) > self._silence_end_s: -> "
-    "if _bridge_report_s(reading) >= self._silence_end_s:": _TIME_BOUND,
-    f"{_BRIDGE}_is_overdue: return False -> return None": _FALSE,
-    f"{_BRIDGE}_note_silence: if silent_s <= limit_s: -> if silent_s < limit_s:": _TIME_BOUND,
-    f"{_BRIDGE}find_cause: if unwatched_s > self._gap_limit_s: -> "
-    "if unwatched_s >= self._gap_limit_s:": _TIME_BOUND,
-    f"{_BRIDGE}_is_overdue: return reported_s - self._off_s > self._grace_s "
-    "+ _SLACK_S -> return reported_s - self._off_s >= self._grace_s + _SLACK_S": _SLACK,
+    f"{_MONITOR}_is_overdue: return False -> return None": _FALSE,
+    f"{_MONITOR}_note_passed: if unwatched_s > self._timing.asleep_s: -> "
+    "if unwatched_s >= self._timing.asleep_s:": _TIME_BOUND,
+    f"{_MONITOR}_is_overdue: return self._off_s - self._first_off_s > self._timing.switched_on_s "
+    "+ _SLACK_S -> return self._off_s - self._first_off_s >= self._timing.switched_on_s "
+    "+ _SLACK_S": _SLACK,
     "runtime.reports:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 1000000001.0": _BEYOND,
     "runtime.reports:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 2000000000.0": _BEYOND,
 }

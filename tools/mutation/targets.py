@@ -21,10 +21,14 @@ RUNTIME: dict[str, tuple[str, ...]] = {
         "tests/unit/safety/test_interlocks.py",
         "tests/unit/safety/test_interlock_board.py",
         *_LOOP,
-        "tests/unit/safety/test_bridge_watch.py",
+        "tests/unit/safety/test_monitor.py",
     ),
     "adaptdrive.safety.guard": ("tests/unit/safety/test_guard.py", *_LOOP),
-    "adaptdrive.safety.monitor": ("tests/unit/safety/test_bridge_watch.py", *_LOOP),
+    "adaptdrive.safety.monitor": (
+        "tests/unit/safety/test_monitor.py",
+        "tests/unit/devices/test_can_port.py",
+        *_LOOP,
+    ),
     "adaptdrive.safety.stop": (*_STOP, *_LOOP),
     "adaptdrive.runtime.state_machine": (
         *_MACHINE,
@@ -48,7 +52,7 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.safety.frames": (*_RATE, "tests/unit/safety/test_counter_watch.py"),
     "adaptdrive.runtime.stopping": (
         *_STOP,
-        "tests/unit/safety/test_bridge_watch.py",
+        "tests/unit/safety/test_monitor.py",
         *_LOOP,
         "tests/unit/safety/test_frame_rate.py",
     ),

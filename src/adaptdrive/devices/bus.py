@@ -152,17 +152,10 @@ _LONGEST_S = 2.0
 
 
 class CountingPort:
-    """Counts of a port, and the answers of a drive whose readings each report the bridge.
-
-    A port overrides what is otherwise with it.
-    """
+    """Counts of a port, and answers that most ports have in common."""
 
     counter_modulus: int | None = None
     """None: no frame of the drive counts half cycles."""
-
-    stop_slack_s: float | None = 0.0
-    bridge_cycle_s = 0.0
-    """0: each reading has a report of the bridge."""
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()

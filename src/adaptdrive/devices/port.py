@@ -16,6 +16,7 @@ from typing import Protocol, TypeVar
 
 from adaptdrive.control.signals import Command
 from adaptdrive.safety.facts import FaultLatch, FaultWord, Reading
+from adaptdrive.safety.monitor import Monitor
 from adaptdrive.safety.trips import Trip
 
 # The port that every backend meets: how a reading arrives and a command leaves.
@@ -67,16 +68,12 @@ class Port(Protocol):
     Attributes:
         description: The bus in one phrase, such as `udp_multicast 239.74.163.2:43113`.
         counter_modulus: Modulus of the drive's half-cycle counter, None for one without a counter.
-        stop_slack_s: Additional time, beyond `interlocks.stale_s`, for the report of the bridge;
-            None for a drive that never does: it cannot confirm that it has stopped.
-        bridge_cycle_s: Time from one report of the bridge to the next, 0 where each reading has
-            one, infinite where it is not known.
+        monitor: What the port has seen of the drive, and the verdict on it.
     """
 
     description: str
     counter_modulus: int | None
-    stop_slack_s: float | None
-    bridge_cycle_s: float
+    monitor: Monitor
 
     @property
     def statistics(self) -> PortStatistics:
@@ -85,13 +82,6 @@ class Port(Protocol):
     @property
     def trip_cause(self) -> Trip | None:
         """Reason of the protocol not to energise the drive, None for no reason."""
-
-    @property
-    def safe_s(self) -> float:
-        """Time at which the safe command in force was taken, monotonic; infinite while none is.
-
-        Taken by the bus, or by the drive where its protocol acknowledges commands.
-        """
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -181,11 +171,6 @@ class NewestValues:
         self.faults = FaultLatch(faults)
         self.refused: set[str] = set()
 
-    @property
-    def powered(self) -> bool:
-        """True if the newest report has the bridge on, also one that was forgotten."""
-        return self._values.get("bridge", 0.0) != 0.0
-
     def keep(
         self, values: Mapping[str, float], taken_s: float, refused: Collection[str] = ()
     ) -> None:
@@ -201,12 +186,6 @@ class NewestValues:
         self.faults.see(values)
         if refused or self.refused:
             self.refused = (self.refused - values.keys()).union(refused)
-
-    def keep_old(self, values: Mapping[str, float]) -> None:
-        """Keep faults, and a bridge that is on, of a frame that may be old: no value is newer."""
-        self.faults.see(values)
-        if values.get("bridge"):
-            self._values["bridge"] = 1.0
 
     def forget(self, quantity: str) -> None:
         """Make no reading until a quantity has come again."""

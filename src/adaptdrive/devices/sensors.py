@@ -113,8 +113,7 @@ class SensoredPort:
     Attributes:
         description: The drive's bus and those of the sensors in one phrase.
         counter_modulus: As of the drive's own port, like all that follow.
-        stop_slack_s: Additional time for the report of the bridge.
-        bridge_cycle_s: Time from one report of the bridge to the next.
+        monitor: What the drive's port has seen of it.
         catch_up: Hands over what has arrived from the drive; sensors are never caught up with.
         explain_age: Returns the oldest value of the drive; sensors give theirs in `trip_cause`.
         details: Returns the messages of the drive's bus that were not used.
@@ -141,8 +140,7 @@ class SensoredPort:
         self._stated = stated
         self._drive = drive
         self.counter_modulus = drive.counter_modulus
-        self.stop_slack_s = drive.stop_slack_s
-        self.bridge_cycle_s = drive.bridge_cycle_s
+        self.monitor = drive.monitor
         self.catch_up = drive.catch_up
         self.explain_age = drive.explain_age
         self.details = drive.details
@@ -170,11 +168,6 @@ class SensoredPort:
         for bus in self.buses:
             trip_cause = trip_cause or bus.trip_cause(now_s)
         return trip_cause
-
-    @property
-    def safe_s(self) -> float:
-        """Time at which the safe command in force was taken, infinite while none is in force."""
-        return self._drive.safe_s
 
     async def run(self, listener: ports.Listener, opened: Callable[[], None]) -> None:
         """Serve the drive and the sensors until cancelled; the sensors end first.

@@ -41,7 +41,7 @@ class Stopping:
         """
         self._port = port
         self._machine = machine
-        self.watch = StopWatch(timing, port.stop_slack_s)
+        self.watch = StopWatch(timing, port.monitor.slack_s)
         self._report = report
         self._settled_s = -math.inf
         self._starting = False
@@ -71,7 +71,7 @@ class Stopping:
         watch, machine = self.watch, self._machine
         if self._starting and machine.stage is not Stage.PRECHARGE:
             self.release()
-        safe_s = -math.inf if self._starting else self._port.safe_s
+        safe_s = -math.inf if self._starting else self._port.monitor.safe_s
         watch.command(now_s)
         verdict = watch.judge(reading, safe_s, now_s)
         settled = self._is_settled(verdict, now_s)
@@ -96,7 +96,7 @@ class Stopping:
         A drive that has been silent for a stop's time may have been switched on meanwhile: what it
         has confirmed is no report of it now.
         """
-        if self._port.stop_slack_s is None:
+        if self._port.monitor.slack_s is None:
             return StopWord.IMPOSSIBLE
         if reading is None or now_s - reading.bridge_reported_s > self.watch.limit_s:
             return StopWord.AWAITED

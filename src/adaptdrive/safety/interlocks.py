@@ -12,7 +12,7 @@ from typing import Protocol
 from adaptdrive.config.bus import MEASURED
 from adaptdrive.safety.facts import Reading, fault_trip
 from adaptdrive.safety.frames import CounterWatch, FrameRate, verdict_ticks
-from adaptdrive.safety.monitor import BridgeWatch
+from adaptdrive.safety.monitor import Monitor
 from adaptdrive.safety.plausibility import Watch
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip, TripKind
@@ -134,12 +134,10 @@ class Source(Protocol):
     """What the interlocks ask of the port of a drive.
 
     Attributes:
-        stop_slack_s: Additional time for the report of the bridge, None where there is none.
-        bridge_cycle_s: Time from one such report to the next, infinite where it is not known.
+        monitor: Facts that the port has reported, and the verdict on the drive.
     """
 
-    stop_slack_s: float | None
-    bridge_cycle_s: float
+    monitor: Monitor
 
     @property
     def trip_cause(self) -> Trip | None:
@@ -177,13 +175,12 @@ class InterlockBoard:
             counts: Judge of its half-cycle counter.
             rate: Rate of its frames, None where this process decides it.
         """
-        reported, cycle_s = port.stop_slack_s is not None, port.bridge_cycle_s
         self._port = port
         self._limits = limits
         self._watches = tuple(watches)
         self._rate = rate
         self._counts = counts
-        self._bridge = BridgeWatch(timing, reported=reported, cycle_s=cycle_s)
+        self._monitor = port.monitor
         self._watched_s = math.inf
         self._pause_s, self._paused_s = 0.0, -math.inf
         self._least_pause_s = _PAUSE_READINGS * timing.reading_s
@@ -209,7 +206,7 @@ class InterlockBoard:
 
     def awaits_bridge(self, now_s: float) -> bool:
         """Return whether nothing that energises may be sent before the drive has reported again."""
-        return self._counts.may_have_restarted or self._bridge.must_report(now_s - self._watched_s)
+        return self._counts.may_have_restarted or self._monitor.must_report(now_s - self._watched_s)
 
     def look(self, now_s: float) -> None:
         """Note an evaluation, and the longest time of late in which this process did not run."""
@@ -263,8 +260,8 @@ class InterlockBoard:
         cause = gap_cause or self.standing_cause(reading, now_s)
         if cause is not None or reading is None:  # without a reading there is always a cause
             return cause
-        cause = self._bridge.find_cause(
-            reading, commanded=bridge, due=running, unwatched_s=unwatched_s, now_s=now_s
+        cause = self._monitor.look(
+            now_s, unwatched_s, reading.arrival_s, due=running
         ) or self._counts.find_cause(commanded=bridge)
         return cause or self._implausible(reading, running=running)
 
@@ -288,7 +285,7 @@ class InterlockBoard:
         shows the bridge on in either case.
         """
         unwatched_s = now_s - self._watched_s
-        if not self._bridge.hides_stop(unwatched_s):
+        if not self._monitor.hides_stop(unwatched_s):
             return None
         return Trip(
             TripKind.OVERSLEPT,

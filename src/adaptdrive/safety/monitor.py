@@ -1,103 +1,293 @@
-"""Whether a drive that is driven may have stopped, and whether anyone else drives it.
+"""The fold: facts that the port of a drive reports, and time, to one verdict about the drive.
 
-A drive that stopped while nothing came from it is not energised afterwards. Two masters must not
-drive one load.
+A port reports each fact once, with its time: what the drive says of its bridge, what it was
+commanded, what it may have received and has taken, a lost bus, a counter that leapt, another
+sender. The verdict tells whether the drive may be driven on. Five rules make it:
+
+1. Off by a drive that has come on by command is a stop. While its contact switches, off may be a
+   bounce: what energises waits for the report of the next reading, which decides.
+2. A drive that has not come on has its time to do so.
+3. A time in which the drive may have stopped unseen is a doubt. What energises waits for a report
+   from after it; off after a doubt is a stop, without a bounce.
+4. A drive that never reports its bridge shows nothing, and is commanded all the same: a time alone
+   is no doubt of it. After any other doubt it is assumed to be as the last command that it has
+   received.
+5. A drive that is still on long after the safe command, or has not acknowledged it, does not obey.
 """
 
 import math
 from collections.abc import Callable
+from enum import Enum
+from typing import Final
 
-from adaptdrive.safety.facts import Reading
+from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip, TripKind
-
-# Notices a drive that has stopped by itself: it must not be driven on as if it had not.
 
 _SLACK_S = 1e-6
 """Rounding of sums of half cycles: the last one within the grace is not yet a stop."""
 
+QUIET_S = 5.0
+"""Time without a foreign command until the drive may be energised. A sender commands its drive
+many times in it, as every drive has a time-out far shorter than this."""
 
-class BridgeWatch:
-    """Finds a drive that reports its bridge off although it was commanded on."""
 
-    def __init__(self, timing: Timing, *, reported: bool = True, cycle_s: float = 0.0) -> None:
-        """Watch from the first half cycle.
+class Verdict(Enum):
+    """What the facts say of a drive."""
+
+    OBEYS = "It does what it was commanded, as far as its reports show: commands go out."
+    MAY_HAVE_STOPPED = "It may have stopped unseen: what energises waits for its next report."
+    STOPPED = "It has stopped, or has not come on in its time: the daemon trips."
+    DISOBEYS = "It is still on long after the safe command: nothing feeds its own time-out."
+
+
+class Doubt(Enum):
+    """Why a drive may have stopped unseen, as a trip says it; the first that holds is named.
+
+    Attributes:
+        fact: What a port, or the look of a tick, has seen.
+        ends: Which report ends the doubt.
+    """
+
+    BUS_LOST = "the bus was lost meanwhile", "A bus, a link or a node was lost."
+    LEAPT = (
+        "its alive counter leapt meanwhile: it may have started anew",
+        "An alive counter advanced by more than frames may be lost.",
+    )
+    UNANSWERED = (
+        "a read had no answer meanwhile",
+        "A drive that is polled has answered no read and taken no command for `silent_s`.",
+    )
+    ASLEEP = (
+        "the daemon had not run for {:.0f} ms",
+        "Two looks of the fast loop were further apart than `asleep_s`.",
+    )
+    SILENT = (
+        "nothing had been heard of it for {:.0f} ms",
+        "No report of the bridge, or no reading, has come for `silent_s` or `unreported_s`.",
+        "came",
+    )
+
+    def __init__(self, text: str, fact: str, ends: str = "asked for") -> None:
+        self.text, self.fact, self.ends = text, fact, ends
+
+
+_SILENT: Final = Doubt.SILENT
+
+
+class Monitor:
+    """The facts of one drive, and the verdict that follows from them.
+
+    Attributes:
+        slack_s: Additional age of the report of the bridge; None for a drive that never reports it.
+        cycle_s: Time from one report of the bridge to the next, 0 where each reading has one,
+            infinite where it is not known.
+        powered: Whether the newest report has the bridge on, also one from before a loss, and one
+            that may be old.
+        given: Whether the last command that the drive may have received has the bridge on.
+        safe_s: When the bus, or the drive where its protocol acknowledges commands, has taken the
+            safe command in force; infinite without one.
+    """
+
+    def __init__(
+        self,
+        timing: Timing,
+        clock: Callable[[], float],
+        *,
+        slack_s: float | None = 0.0,
+        cycle_s: float = 0.0,
+        acknowledges: bool = False,
+    ) -> None:
+        """Begin without a fact.
 
         Args:
             timing: Times of the drive.
-            reported: Whether the drive reports its bridge: after a silence nothing else shows that
-                it has not stopped.
-            cycle_s: Time from one such report to the next, 0 where each reading has one, infinite
-                where it is not known.
+            clock: Monotonic clock, in s.
+            slack_s: As the attribute.
+            cycle_s: As the attribute.
+            acknowledges: Whether the drive acknowledges each command: the safe one, too, must have
+                been, and what a lost bus has carried is known.
         """
-        self._reading_s = timing.reading_s
-        self._grace_s = timing.switched_on_s
-        self._on_s = timing.unseen_s
+        self._acknowledges = acknowledges
+        self._timing = timing
+        self._clock = clock
         self._hidden_s = timing.hidden_s(cycle_s)
-        self._gap_limit_s = timing.unwatched_s
-        self._silent_limit_s = timing.silent_s
-        self._mute_limit_s = timing.unreported_s(cycle_s)
-        self._reported = reported
-        self._off_s: float | None = None
-        self._due_s = math.inf
-        self._commanded_s = math.inf
-        self._lingers = False
-        self._been_on = False
-        self._bounced_s: float | None = None
-        self._gap_s = self._silent_s = 0.0
-        self._gap_end_s = self._silence_end_s = -math.inf
+        self._unreported_s = timing.unreported_s(cycle_s)
+        self._obeyed_s = timing.obeyed_s(max(cycle_s, timing.reading_s))
+        self.slack_s, self.cycle_s = slack_s, cycle_s
+        self.powered = self.given = False
+        self.safe_s = self._offered_s = math.inf
+        self._came_s = math.inf
+        self._foreign, self._foreign_count, self._foreign_s = "", 0, -math.inf
+        self._commanded = self._lingers = False
+        self._doubts: dict[Doubt, tuple[float, float]] = {}
+        self._been_on = self._come = self._stopped = False
+        self._off_s = self._first_off_s = self._bounced_s = math.inf
+        self._commanded_s = self._due_s = math.inf
 
-    def find_cause(
-        self, reading: Reading, *, commanded: bool, due: bool, unwatched_s: float, now_s: float
-    ) -> Trip | None:
-        """Return the cause of a trip, None for none.
+    # Facts.
 
-        Only reports of the drive count: one that has fallen silent is stale, not off. A bridge that
-        has come on by command and is off is a stop at once; one that has not been on yet has its
-        time to switch. In that time one report of off after one of on may be a contact that
-        bounces: the next report decides. A report from before the command shows nothing of what
-        follows it.
-
-        A drive may have stopped while this process did not run, or without a report of its
-        bridge, whatever else came: a report from before the end of that time shows nothing of it.
+    def report(self, *, on: bool, asked_s: float, came_s: float) -> None:
+        """Note what the drive reports of its bridge.
 
         Args:
-            reading: The newest reading.
-            commanded: Whether the last command had the bridge on.
-            due: Whether a bridge that has not been on yet must come on; not while a drive starts.
-            unwatched_s: Time since the last look.
-            now_s: Monotonic time of this look.
+            on: Whether it is on.
+            asked_s: When the report was asked for; when it came, of a drive that sends by itself.
+            came_s: When it came.
         """
-        if unwatched_s > self._gap_limit_s:
-            self._gap_s, self._gap_end_s = max(self._gap_s, unwatched_s), now_s
-        self._note_silence(reading, now_s)
-        self._due_s = min(self._due_s, now_s) if commanded and due else math.inf
-        if not commanded:
-            self._rest(bridge=reading.bridge)
+        self.powered, self._came_s = on, came_s
+        self._off_s = math.inf if on else asked_s
+        if not self._commanded:
+            return
+        if on:
+            self._note_on(asked_s)
+            self._first_off_s = self._bounced_s = math.inf
+        else:
+            self._note_off(asked_s)
+        if not self._stopped:
+            self._end_doubts(asked_s, came_s)
+
+    def hint(self, *, on: bool, came_s: float) -> None:
+        """Note what a frame says of the bridge that may be an old one: it ends no doubt.
+
+        Args:
+            on: Whether it is on.
+            came_s: When the frame came.
+        """
+        self.powered = self.powered or on
+        if self._commanded:
+            self._note_on(came_s) if on else self._note_off(came_s)
+
+    def doubt(self, why: Doubt, until_s: float, span_s: float = 0.0) -> None:
+        """Note a time in which a drive that is driven may have stopped unseen.
+
+        Args:
+            why: The reason.
+            until_s: End of that time.
+            span_s: Its length, where the reason has one.
+        """
+        if self._commanded and self.given:
+            longest_s = max(span_s, self._doubts.get(why, (0.0, 0.0))[1])
+            self._doubts[why] = until_s, longest_s
+
+    def lose(self) -> None:
+        """Note that the bus was lost: nothing that was sent on it counts any more."""
+        self.doubt(Doubt.BUS_LOST, self._clock())
+        self.given, self.safe_s = False, math.inf
+        if not self._acknowledges:
+            self._offered_s = math.inf
+
+    def command(self, command: Command) -> None:
+        """Note the command that was decided on, whether or not it can be sent.
+
+        Args:
+            command: The command.
+        """
+        if command != SAFE_COMMAND:
+            self.safe_s = self._offered_s = math.inf
+        if command.bridge and not self._commanded:
+            self._lingers = self.powered
+        elif self._commanded and not command.bridge:
+            self._rest()
+        self._commanded = command.bridge
+
+    def offer_safe(self) -> None:
+        """Note that the drive may receive the safe command from now on; the first time counts."""
+        self._offered_s = min(self._offered_s, self._clock())
+
+    def take_safe(self) -> None:
+        """Note that the safe command was taken; the first time counts."""
+        self.offer_safe()
+        self.safe_s = min(self.safe_s, self._clock())
+
+    def note_foreign(self, frame: str) -> None:
+        """Note a command to the drive that this process has not sent.
+
+        Args:
+            frame: The id and the name of its frame, as text.
+        """
+        now_s = self._clock()
+        self._foreign_count = 1 if now_s - self._foreign_s > QUIET_S else self._foreign_count + 1
+        self._foreign, self._foreign_s = frame, now_s
+
+    # Verdict.
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the facts say now, for the next command to the bus."""
+        if not self._commanded:
+            return Verdict.DISOBEYS if self.overdue_s > 0.0 else Verdict.OBEYS
+        if self._stopped:
+            return Verdict.STOPPED
+        if self._awaits_report or self._is_silent(self._clock()):
+            return Verdict.MAY_HAVE_STOPPED
+        return Verdict.OBEYS
+
+    @property
+    def stop(self) -> Trip | None:
+        """Why a drive that was commanded on has stopped, until it is commanded off, else None."""
+        if not self._stopped:
             return None
-        self._commanded_s = min(self._commanded_s, now_s)
-        if reading.bridge:
-            self._note_on(reading)
-            return None
-        self._lingers = False
-        if self._been_on and self._may_bounce(reading.bridge_reported_s):
-            return None
-        if not self._been_on and not self._is_overdue(reading.bridge_reported_s):
-            return None
-        text = f"drive stopped: its bridge is off although it was commanded on{self._hidden}"
+        why = next((one for one in Doubt if one in self._doubts), None)
+        if why is not None:
+            hidden = f"; {why.text.format(self._doubts[why][1] * 1e3)}"
+        else:
+            waited_ms = self._timing.switched_on_s * 1e3
+            hidden = "" if self._been_on else f"; it has not come on within {waited_ms:.0f} ms"
+        text = f"drive stopped: its bridge is off although it was commanded on{hidden}"
         return Trip(TripKind.DRIVE_STOPPED, text)
 
-    def must_report(self, unwatched_s: float) -> bool:
-        """Return whether a drive that may have stopped by itself must report before a command.
+    @property
+    def overdue_s(self) -> float:
+        """Time for which the drive has not obeyed the safe command; negative while it may yet."""
+        offered_s = self._clock() - self._offered_s
+        still_on_s = offered_s - self._obeyed_s if self.powered else -math.inf
+        untaken = self._acknowledges and self.safe_s == math.inf
+        untaken_s = offered_s - self._timing.taken_s if untaken else -math.inf
+        return max(still_on_s, untaken_s)
 
-        Never one that does not report its bridge: the wait itself would let it stop.
+    @property
+    def trip_cause(self) -> Trip | None:
+        """Reason not to energise the drive in any state: a recent command of another sender."""
+        age_s = self._clock() - self._foreign_s
+        if age_s > QUIET_S:
+            return None
+        return Trip(
+            TripKind.OTHER_SENDER,
+            f"another sender commands this drive: {self._foreign_count} x frame {self._foreign}, "
+            f"the last {age_s:.1f} s ago; end the other daemon, PLC or tool: the bus must be free "
+            f"of its commands for {QUIET_S:g} s",
+        )
+
+    def look(self, now_s: float, unwatched_s: float, heard_s: float, *, due: bool) -> Trip | None:
+        """Note the time that has passed; return the cause of a trip, None for none.
+
+        Args:
+            now_s: Monotonic time.
+            unwatched_s: Time since the last look.
+            heard_s: When the newest reading came.
+            due: Whether a bridge that has not been on yet must come on; not while a drive starts.
+        """
+        if not self._commanded:
+            return None
+        if self.slack_s is not None:
+            self._note_passed(now_s, unwatched_s, heard_s)
+        self._commanded_s = min(self._commanded_s, now_s)
+        self._due_s = min(self._due_s, now_s) if due else math.inf
+        # off that was reported in a time without a look, or after a silence, was no bounce
+        unseen = self._bounced_s < math.inf and bool(self._doubts)
+        overdue = not self._come and self._is_overdue()
+        self._stopped = self._stopped or unseen or overdue
+        return self.stop
+
+    def must_report(self, unwatched_s: float) -> bool:
+        """Return whether what energises waits for a report, after a time without a look.
 
         Args:
             unwatched_s: Time since the last look.
         """
-        unheard_s = max(self._gap_s, self._silent_s, unwatched_s)
-        hidden = self._reported and self._been_on and unheard_s > self._on_s
-        return hidden or self._bounced_s is not None
+        unseen = self._been_on and unwatched_s > self._timing.unseen_s and self.slack_s is not None
+        return self._awaits_report or unseen
 
     def hides_stop(self, unwatched_s: float) -> bool:
         """Return whether a command that was late on the bus may have hidden a stop.
@@ -107,184 +297,62 @@ class BridgeWatch:
         """
         return self.must_report(unwatched_s) and unwatched_s > self._hidden_s
 
-    def _rest(self, *, bridge: bool) -> None:
+    # The fold.
+
+    def _rest(self) -> None:
         """Begin anew with a drive that is commanded off; its bridge may still be on."""
-        self._off_s, self._been_on, self._lingers = None, False, bridge
-        self._bounced_s = None
-        self._commanded_s = math.inf
-        self._gap_s = self._silent_s = 0.0
+        self._doubts.clear()
+        self._been_on = self._come = self._stopped = False
+        self._first_off_s = self._bounced_s = math.inf
+        self._commanded_s = self._due_s = math.inf
 
-    def _note_on(self, reading: Reading) -> None:
+    @property
+    def _awaits_report(self) -> bool:
+        return bool(self._doubts) or self._bounced_s < math.inf
+
+    def _is_silent(self, now_s: float) -> bool:
+        """Return whether the bridge was not reported for as long as a stop takes."""
+        driven = self.given and self.slack_s is not None
+        return driven and now_s - self._came_s > self._unreported_s
+
+    def _note_passed(self, now_s: float, unwatched_s: float, heard_s: float) -> None:
+        """Note a time in which nobody looked, or in which nothing came."""
+        if unwatched_s > self._timing.asleep_s:
+            self.doubt(Doubt.ASLEEP, now_s, unwatched_s)
+        if self._is_silent(now_s):
+            self.doubt(_SILENT, now_s, now_s - self._came_s)
+        elif now_s - heard_s > self._timing.silent_s:
+            self.doubt(_SILENT, now_s, now_s - heard_s)
+
+    def _note_on(self, asked_s: float) -> None:
         """Note a bridge that is on, by this command unless it still is by the one before."""
-        self._off_s = self._bounced_s = None
-        reported_s = reading.bridge_reported_s
-        switched = not self._lingers or reported_s - self._commanded_s > self._grace_s
-        self._been_on = self._been_on or switched
-        if reported_s > self._gap_end_s:
-            self._gap_s = 0.0
-        if _bridge_report_s(reading) > self._silence_end_s:
-            self._silent_s = 0.0
+        switched = asked_s - self._commanded_s > self._timing.switched_on_s
+        self._come = self._come or switched or not self._lingers
+        self._been_on = True
 
-    def _may_bounce(self, reported_s: float) -> bool:
-        """Return whether this is the first report of off in a row, of a bridge that switches on.
+    def _note_off(self, asked_s: float) -> None:
+        """Note a bridge that is off: of one that has been on it is a stop, or a bounce."""
+        self._lingers = False
+        switches = asked_s - self._commanded_s <= self._timing.switched_on_s
+        again = asked_s - self._bounced_s > 0.5 * self._timing.reading_s  # not of the same reading
+        if self._come and switches and not (again or self._doubts):
+            self._bounced_s = min(self._bounced_s, asked_s)
+        elif self._come or (self._been_on and self._doubts):
+            self._stopped = True
 
-        A bridge that had the time to stop unseen does not bounce.
-        """
-        switches = reported_s - self._commanded_s <= self._grace_s
-        if self._bounced_s is None and switches and not (self._gap_s or self._silent_s):
-            self._bounced_s = reported_s
-        return self._bounced_s == reported_s
+    def _end_doubts(self, asked_s: float, came_s: float) -> None:
+        """End the doubts from before a report; it ends a silence although it was asked for then."""
+        if self._doubts:
+            self._doubts = {
+                why: (until_s, span_s)
+                for why, (until_s, span_s) in self._doubts.items()
+                if (came_s if why is _SILENT else asked_s) <= until_s
+            }
 
-    def _is_overdue(self, reported_s: float) -> bool:
+    def _is_overdue(self) -> bool:
         """Return whether a bridge that has not come on yet has had the time to."""
-        if self._due_s == math.inf:
+        if math.inf in {self._due_s, self._off_s}:
             return False
-        if self._off_s is None:
-            self._off_s = max(reported_s, self._due_s) - self._reading_s
-        return reported_s - self._off_s > self._grace_s + _SLACK_S
-
-    @property
-    def _hidden(self) -> str:
-        """The time that has hidden the stop, or in which a drive has not come on: for the trip."""
-        if not self._been_on:
-            return f"; it has not come on within {self._grace_s * 1e3:.0f} ms"
-        if self._gap_s > self._on_s:
-            return f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms"
-        if self._silent_s:
-            return f"; nothing had been heard of it for {self._silent_s * 1e3:.0f} ms"
-        return ""
-
-    def _note_silence(self, reading: Reading, now_s: float) -> None:
-        """Keep the longest time without a reading, or without a report of the bridge.
-
-        A reading ends it whose values were asked for before: a poll may take as long.
-        """
-        silent_s, limit_s = now_s - _bridge_report_s(reading), self._mute_limit_s
-        if silent_s <= limit_s:
-            silent_s, limit_s = now_s - reading.arrival_s, self._silent_limit_s
-        if silent_s > limit_s:
-            self._silent_s, self._silence_end_s = max(self._silent_s, silent_s), now_s
-
-
-def _bridge_report_s(reading: Reading) -> float:
-    """Return when the report of the bridge came: with the reading if it has no separate time."""
-    return reading.arrival_s if reading.bridge_s is None else reading.bridge_s
-
-
-# A loss, a silence or a new start, of which the next report shows whether the drive has stopped.
-
-_STOPPED = "drive stopped: its bridge is off although it was commanded on"
-
-LOST = "the bus was lost meanwhile"
-LEAPT = "its alive counter leapt meanwhile: it may have started anew"
-UNANSWERED = "a read had no answer meanwhile"
-UNREAD = "no poll gave a reading meanwhile"
-
-
-class Relink:
-    """A drive that was on when its bus was lost or fell silent, until the next reading.
-
-    The drive may have stopped by its own time-out meanwhile, or have started anew. A command that
-    has the bridge on waits for the reading. If that has the bridge off and the last one before the
-    loss had it on, the drive is not driven on; one that was about to start may continue.
-    """
-
-    def __init__(self) -> None:
-        """Begin without a connection, and without a command."""
-        self._commanded = False
-        self._was_on = False
-        self._reported_on = False
-        self._stopped = False
-        self._how = LOST
-
-    @property
-    def trip_cause(self) -> Trip | None:
-        """Reason not to energise the drive, None for none."""
-        return Trip(TripKind.DRIVE_STOPPED, f"{_STOPPED}; {self._how}") if self._stopped else None
-
-    def open(self, *, bridge: bool, how: str = LOST, reported_on: bool = False) -> None:
-        """Begin a connection, or a silence of one.
-
-        Args:
-            bridge: Whether the last command that reached the drive had the bridge on.
-            how: Why nothing comes from the drive.
-            reported_on: Whether its last report, also one that no reading carries, has it on.
-        """
-        # the earlier cause is the more specific one
-        if not (self._was_on and how in {UNREAD, LEAPT}):
-            self._how = how
-        self._was_on = self._commanded and (self._was_on or bridge)
-        self._reported_on = self._reported_on or reported_on
-
-    def note_reading(self, *, bridge: bool) -> None:
-        """Note a reading.
-
-        Args:
-            bridge: Whether it has the bridge on.
-        """
-        self._stopped = self._stopped or (self._was_on and self._reported_on and not bridge)
-        self._was_on, self._reported_on = False, bridge
-
-    def note_command(self, *, bridge: bool, safe: bool) -> None:
-        """Note a command, sent or not; the safe one ends what was driven.
-
-        Args:
-            bridge: Whether it has the bridge on.
-            safe: Whether it is the safe command.
-        """
-        self._commanded = bridge
-        if safe:
-            self._stopped = self._was_on = False
-
-    def admits(self, *, bridge: bool) -> bool:
-        """Return whether a command may be sent.
-
-        Args:
-            bridge: Whether it has the bridge on.
-        """
-        return not (bridge and (self._was_on or self._stopped))
-
-
-# Other senders of commands.
-
-QUIET_S = 5.0
-"""Time without a foreign command until the drive may be energised. A sender commands its drive
-many times in it, as every drive has a time-out far shorter than this."""
-
-
-class OtherSender:
-    """Remembers the last command frame on the bus that this process has not sent."""
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        """Start without another sender.
-
-        Args:
-            clock: Monotonic clock, in seconds.
-        """
-        self._clock = clock
-        self._frame = ""
-        self._count = 0
-        self._came_s = -math.inf
-
-    def note(self, frame: str) -> None:
-        """Note a foreign command frame.
-
-        Args:
-            frame: The frame's id and name, as text.
-        """
-        now_s = self._clock()
-        self._count = 1 if now_s - self._came_s > QUIET_S else self._count + 1
-        self._frame, self._came_s = frame, now_s
-
-    @property
-    def trip_cause(self) -> Trip | None:
-        """Reason not to energise the drive, None without a recent foreign command."""
-        age_s = self._clock() - self._came_s
-        if age_s > QUIET_S:
-            return None
-        return Trip(
-            TripKind.OTHER_SENDER,
-            f"another sender commands this drive: {self._count} x frame {self._frame}, the last "
-            f"{age_s:.1f} s ago; end the other daemon, PLC or tool: the bus must be free of its "
-            f"commands for {QUIET_S:g} s",
-        )
+        begin_s = max(self._off_s, self._due_s) - self._timing.reading_s
+        self._first_off_s = min(self._first_off_s, begin_s)
+        return self._off_s - self._first_off_s > self._timing.switched_on_s + _SLACK_S

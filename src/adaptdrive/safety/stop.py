@@ -1,19 +1,12 @@
-"""Whether a drive obeys the safe command: it confirms its stop, stays off, and is off in time.
-
-One that does not obey must not be kept from stopping by itself, by commands or by heartbeats; how
-it is kept from that is a matter of its bus.
-"""
+"""Whether a drive that is commanded off confirms its stop, and stays off."""
 
 import math
-from collections.abc import Callable
 from enum import Enum, auto
 from typing import Final
 
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip, TripKind
-
-# Holds a drive to its stop: it must confirm that its bridge is off, and keep it off.
 
 _STAYS: Final = "the drive does not stop"
 
@@ -126,47 +119,3 @@ class StopWatch:
             f"{_STAYS}: it has not reported its bridge off {waited}; check its cable and its "
             "supply, and disconnect the supply before the load is touched",
         )
-
-
-# Times the safe command, for what keeps the drive's own time-out from ending.
-
-
-class Obedience:
-    """Times the safe command in force from when the drive may first have received it.
-
-    Attributes:
-        since_s: That time by the monotonic clock, infinite while no safe command is in force.
-    """
-
-    def __init__(self, limit_s: float, clock: Callable[[], float]) -> None:
-        """Note no command yet.
-
-        Args:
-            limit_s: Time that the drive has to obey, `Timing.obeyed_s`.
-            clock: Monotonic clock, in s.
-        """
-        self._limit_s = limit_s
-        self._clock = clock
-        self.since_s = math.inf
-
-    @property
-    def awaited(self) -> bool:
-        """True while a safe command is in force."""
-        return self.since_s < math.inf
-
-    def note_safe(self) -> None:
-        """Note that the drive may receive the safe command now; the first time counts."""
-        if self.since_s == math.inf:
-            self.since_s = self._clock()
-
-    def forget(self) -> None:
-        """Note another command, or the loss of a bus on which nothing shows what it received."""
-        self.since_s = math.inf
-
-    def overdue_s(self, *, powered: bool) -> float:
-        """Return for how long a drive has not obeyed the safe command, negative while it may yet.
-
-        Args:
-            powered: Whether its last report, also one of a link before, has it energised.
-        """
-        return self._clock() - self.since_s - self._limit_s if powered else -math.inf

@@ -99,10 +99,10 @@ class Timing:
         return self.certain_s if shown else self.unseen_s
 
     @property
-    def unwatched_s(self) -> float:
+    def asleep_s(self) -> float:
         """Time without a look at the drive after which it may have stopped unseen."""
         late_s = max(LATE_READINGS * self.reading_s, self.certain_s)
-        return min(_LOST_READINGS * self.reading_s, late_s)
+        return max(self.unseen_s, min(_LOST_READINGS * self.reading_s, late_s))
 
     @property
     def overslept_s(self) -> float:
@@ -135,11 +135,6 @@ class Timing:
         too, and needs no command meanwhile.
         """
         return min(self._silence_s(self.reading_s), self.certain_s)
-
-    @property
-    def reported_seldom_s(self) -> float:
-        """The same of a drive that starts anew visibly, as over CANopen: its time-out counts."""
-        return max(_SILENT_READINGS * self.reading_s, self.certain_s)
 
     def unreported_s(self, cycle_s: float) -> float:
         """Return how long the report of the bridge alone may be missing.

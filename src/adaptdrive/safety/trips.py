@@ -32,7 +32,6 @@ class TripKind(StrEnum):
     OVERSLEPT = "overslept"
     DRIVE_FAULT = "drive-fault"
     EMERGENCY = "emergency"
-    DRIVE_SILENT = "drive-silent"
     STATE_LEFT = "state-left"
     STATE_UNFIT = "state-unfit"
     NODE_RESTARTED = "node-restarted"

@@ -30,7 +30,7 @@ async def test_whoever_only_listens_commands_nothing(rig: Rig) -> None:
     await rig.hears(20)
     assert rig.heard == []
     assert not (rig.watched and rig.fed_s)
-    assert rig.port.safe_s == math.inf
+    assert rig.port.monitor.safe_s == math.inf
 
 
 async def test_the_newest_command_reaches_the_drive(rig: Rig) -> None:
@@ -53,30 +53,30 @@ async def test_a_drive_is_brought_up_and_down_again(rig: Rig) -> None:
     await rig.runs()
     assert rig.heard[-1][0]
     assert rig.heard[-1][1] == pytest.approx(287.65, abs=0.01)
-    assert rig.port.safe_s == math.inf
+    assert rig.port.monitor.safe_s == math.inf
     rig.ear.command = SAFE_COMMAND
     await until(lambda: not rig.latest.bridge)
     assert rig.heard[-1] == (False, 0.0)
-    assert rig.port.safe_s <= rig.latest.bridge_reported_s
+    assert rig.port.monitor.safe_s <= rig.latest.bridge_reported_s
     assert rig.port.trip_cause is None
-    safe_s = rig.port.safe_s
+    safe_s = rig.port.monitor.safe_s
     await rig.hears(5)
-    assert rig.port.safe_s == safe_s  # it is that of the first of several
+    assert rig.port.monitor.safe_s == safe_s  # it is that of the first of several
     rig.ear.command = CHARGE
     await rig.hears(2)
-    assert rig.port.safe_s == math.inf
+    assert rig.port.monitor.safe_s == math.inf
 
 
 async def test_a_stop_is_confirmed_by_a_report_of_the_bridge_alone(rig: Rig) -> None:
     await rig.runs()
     rig.obeys, rig.ear.command = False, SAFE_COMMAND
-    await until(lambda: rig.port.safe_s < math.inf)
+    await until(lambda: rig.port.monitor.safe_s < math.inf)
     known = len(rig.ear.readings)
     await rig.hears(5)
     assert all(reading.bridge for reading in rig.ear.readings[known:])
     rig.bridge = False
     await until(lambda: not rig.latest.bridge)
-    assert rig.latest.bridge_reported_s > rig.port.safe_s
+    assert rig.latest.bridge_reported_s > rig.port.monitor.safe_s
 
 
 async def test_a_safe_command_that_is_refused_is_not_in_force(rig: Rig) -> None:
@@ -84,13 +84,13 @@ async def test_a_safe_command_that_is_refused_is_not_in_force(rig: Rig) -> None:
     rig.refuses, rig.ear.command = True, SAFE_COMMAND
     known = len(rig.fed_s)
     await rig.passes(8)
-    assert rig.port.safe_s == math.inf
+    assert rig.port.monitor.safe_s == math.inf
     assert rig.heard[-1][0]
     if rig.watched:  # nothing feeds it, and the operator is told
         assert len(rig.fed_s) <= known + 1
         assert rig.port.trip_cause is not None
     rig.refuses = False
-    await until(lambda: rig.port.safe_s < math.inf and rig.port.trip_cause is None)
+    await until(lambda: rig.port.monitor.safe_s < math.inf and rig.port.trip_cause is None)
     assert rig.heard[-1] == (False, 0.0)
 
 
@@ -115,7 +115,7 @@ async def test_a_stop_is_confirmed_beside_values_that_are_refused(rig: Rig) -> N
     await rig.passes(1)
     rig.port.send(SAFE_COMMAND)
     await until(lambda: not rig.latest.bridge)
-    assert rig.port.safe_s <= rig.latest.bridge_reported_s
+    assert rig.port.monitor.safe_s <= rig.latest.bridge_reported_s
     assert rig.latest.boost_voltage_V == pytest.approx(rig.voltage_V)
 
 
@@ -192,15 +192,15 @@ async def test_a_safe_command_from_before_a_loss_is_not_in_force_after_it(rig: R
     """The drive may have started anew, or have heard another sender."""
     await rig.runs()
     rig.obeys, rig.ear.command = False, SAFE_COMMAND
-    await until(lambda: rig.port.safe_s < math.inf)
+    await until(lambda: rig.port.monitor.safe_s < math.inf)
     rig.ear.command = None
     await rig.is_lost()
     lost_s = rig.now_s
     await rig.is_back()
     await rig.hears(2)
-    assert rig.port.safe_s > lost_s
+    assert rig.port.monitor.safe_s > lost_s
     assert rig.port.send(SAFE_COMMAND)
-    await until(lambda: rig.port.safe_s < math.inf)
+    await until(lambda: rig.port.monitor.safe_s < math.inf)
 
 
 async def test_a_drive_that_stopped_during_a_loss_is_not_driven_on(rig: Rig) -> None:
@@ -209,9 +209,9 @@ async def test_a_drive_that_stopped_during_a_loss_is_not_driven_on(rig: Rig) -> 
     rig.bridge = False
     known = len(rig.heard)
     await rig.is_back()
-    await until(lambda: rig.port.trip_cause is not None)
+    await until(lambda: rig.port.monitor.stop is not None)
     await rig.passes(20)
-    assert rig.port.trip_cause is not None
+    assert rig.port.monitor.stop is not None
     assert not [one for one in rig.heard[known:] if one[0]]
     rig.ear.command = SAFE_COMMAND
     await until(lambda: rig.port.trip_cause is None)

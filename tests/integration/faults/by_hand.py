@@ -24,6 +24,7 @@ from adaptdrive.runtime.reports import Event, Hub, LoadReport, State
 from adaptdrive.runtime.requests import Request
 from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import RefusedError
 from tests.loopback_port import LoopbackPort
 from tests.support import text_of
@@ -37,8 +38,10 @@ class QueuedPort(LoopbackPort):
         on_delivery: Called with each reading before the daemon gets it.
     """
 
-    def __init__(self, commanded: Callable[[Command], None], modulus: int | None) -> None:
-        super().__init__(commanded, counter_modulus=modulus)
+    def __init__(
+        self, commanded: Callable[[Command], None], modulus: int | None, timing: Timing
+    ) -> None:
+        super().__init__(commanded, counter_modulus=modulus, timing=timing)
         self.waiting: deque[Reading] = deque(maxlen=64)
         self.on_delivery: Callable[[Reading], None] = lambda _: None
 
@@ -101,7 +104,7 @@ class DaemonByHand:
         controller = Controller(controller_settings(configuration), build_load(configuration))
         modulus = 65536 if configuration.signals.counter is not None else None
         self.now, self.ran_s = now, -math.inf
-        self.port = QueuedPort(commanded, modulus)
+        self.port = QueuedPort(commanded, modulus, settings.fast.timing)
         self.hub = hub = Hub()
         self._reports = hub.subscribe(Event, LoadReport, size=100_000)
         self.daemon = Daemon(

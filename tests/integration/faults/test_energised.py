@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis.stateful import run_state_machine_as_test
 
 from adaptdrive.safety.interlocks import InterlockBoard
-from adaptdrive.safety.monitor import BridgeWatch
+from adaptdrive.safety.monitor import Monitor
 from adaptdrive.safety.timing import Timing
 from tests.integration.faults.story import HastyDriveStory, PatientStory, SlowDriveStory, Story
 
@@ -53,8 +53,8 @@ def _no_cause(*_: object, **__: object) -> None:
     [
         (Story, InterlockBoard, "standing_cause"),
         pytest.param(Story, InterlockBoard, "gap_cause", marks=pytest.mark.proof),
-        (PatientStory, BridgeWatch, "find_cause"),
-        (PatientStory, BridgeWatch, "_note_silence"),
+        (PatientStory, Monitor, "look"),
+        (PatientStory, Monitor, "_note_passed"),
     ],
     ids=["interlocks", "freezes", "own-stop", "silence"],
 )

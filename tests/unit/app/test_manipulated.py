@@ -194,4 +194,4 @@ def test_a_torque_inverter_on_can_is_described_by_a_file_with_flaws(tmp_path: Pa
     limits = {name for name, _, _ in bus_kind("can").time_limits(configuration, path)}
     assert {"stale output", "stale faults.0", "stale faults.1"} <= limits
     probed = build_port(configuration, lambda: 0.0, path, passive=True)
-    assert probed.stop_slack_s is not None
+    assert probed.monitor.slack_s is not None

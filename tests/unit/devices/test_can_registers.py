@@ -193,6 +193,7 @@ async def test_a_message_of_constants_goes_at_its_own_rate_and_at_once_with_the_
             for command in [SAFE_COMMAND] * 25 + [run] * 15:
                 assert port.send(command)
                 clock.now_s += 0.01
+                port.monitor.report(on=command.bridge, asked_s=clock.now_s, came_s=clock.now_s)
                 ids.append([one.arbitration_id for one in iter(lambda: drive.recv(0), None)])
     assert [number for number, one in enumerate(ids) if 514 in one] == [0, 10, 20, 25, 35]
     assert all(one.count(513) == 2 for one in ids)

@@ -12,6 +12,7 @@ from adaptdrive.devices.polled.commander import Commander
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void, never
 from adaptdrive.devices.polled.registers import Exchange
 from adaptdrive.devices.polled.reports import PollHistory
+from adaptdrive.safety.monitor import Monitor
 from adaptdrive.safety.timing import Timing
 from tests.unit.devices.modbus.bench import plan, reported
 
@@ -59,12 +60,13 @@ class Link(PolledLink):
 class Bench:
     """A commander whose drive has reported its bridge off."""
 
-    def __init__(self) -> None:
+    def __init__(self, slack_s: float | None = 0.0) -> None:
         self.now_s = [100.0]
         self.link = Link(self.now_s)
         poll, timing = plan(**APART), Timing(1.0 / 120.0, 0.25, 12)
-        self.history = PollHistory(True, timing, 0.3, lambda: self.now_s[0])
-        self.commander = Commander(poll, self.history, Counter(), lambda: self.now_s[0], timing)
+        self.drive = Monitor(timing, lambda: self.now_s[0], slack_s=slack_s)
+        self.history = PollHistory(self.drive, timing, 0.3, lambda: self.now_s[0])
+        self.commander = Commander(poll, self.drive, self.history, Counter(), lambda: self.now_s[0])
         self.commander.begin()
 
     async def polled(self, *, powered: bool) -> None:
@@ -96,7 +98,7 @@ async def test_a_refused_register_does_not_end_the_safe_command() -> None:
     await bench.give(RUN, powered=False)
     bench.link.refused = {CONTROL}
     assert await bench.give(SAFE_COMMAND, powered=True) == [CONTROL, VOLTAGE]
-    assert bench.commander.safe_s == math.inf
+    assert bench.commander.monitor.safe_s == math.inf
     bench.link.refused = {VOLTAGE}
     assert await bench.give(RUN, powered=True) == [VOLTAGE]  # what energises ends there
 
@@ -104,10 +106,10 @@ async def test_a_refused_register_does_not_end_the_safe_command() -> None:
 async def test_a_new_link_has_acknowledged_nothing() -> None:
     bench = Bench()
     await bench.give(SAFE_COMMAND, powered=False)
-    assert bench.commander.safe_s == bench.now_s[0]
+    assert bench.commander.monitor.safe_s == bench.now_s[0]
     assert not bench.commander.urgent
     bench.commander.begin()
-    assert bench.commander.safe_s == math.inf
+    assert bench.commander.monitor.safe_s == math.inf
     assert bench.commander.urgent
     bench.link.written.clear()
     await bench.commander.leave_safe(bench.link)
@@ -123,3 +125,18 @@ async def test_the_safe_command_is_written_anew_while_the_drive_is_on(powered: b
     bench.link.written.clear()
     await bench.polled(powered=powered)
     assert bool(bench.link.written) == powered
+
+
+async def test_a_command_from_before_a_standstill_is_void() -> None:
+    """Nothing shows whether a drive that never reports its bridge has stopped meanwhile."""
+    bench = Bench(slack_s=None)
+    await bench.give(RUN, powered=True)
+    bench.link.written.clear()
+    bench.now_s[0] += 0.5
+    await bench.commander.write(bench.link)
+    assert bench.link.written == []
+    bench.history.note_step()
+    bench.commander.set(RUN)
+    bench.now_s[0] += 0.1
+    await bench.commander.write(bench.link)
+    assert [address for address, _ in bench.link.written] == [VOLTAGE, CONTROL]

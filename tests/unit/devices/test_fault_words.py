@@ -142,7 +142,7 @@ def test_a_can_drive_has_several_words() -> None:
         found = {source.field.name: 0.0 for source in status.sources}
         found |= {"Fault": 5.0} if status.codec.name == "DriveStatus" else {}
         assembly.keep(status, found, 1.0)
-    reading = assembly.reading(1.0, bridge_sent=True, stopped=False)
+    reading = assembly.newest.reading(1.0, bridge=True)
     assert reading is not None
     assert (reading.fault, reading.fault_name) == (4, "Fault bit 2 fast")
     assert reading.other == {}

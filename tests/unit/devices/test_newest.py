@@ -78,24 +78,11 @@ def test_a_report_of_the_bridge_of_the_same_set_has_no_time_of_its_own() -> None
 def test_a_forgotten_report_of_the_bridge_is_awaited() -> None:
     newest = known()
     newest.forget("bridge")
-    assert newest.powered
     assert newest.reading(2.0) is None
     newest.keep({"bridge": 0.0}, 2.0)
     reading = newest.reading(2.0)
     assert reading is not None
     assert (reading.bridge, reading.oldest_s) == (False, 1.0)
-
-
-def test_a_frame_that_may_be_old_shows_a_fault_and_a_bridge_that_is_on() -> None:
-    newest = known()
-    newest.keep({"bridge": 0.0}, 2.0)
-    newest.keep_old({"bridge": 1.0, "fault": 2.0, "output": 9.0})
-    reading = newest.reading(3.0)
-    newest.keep_old({"bridge": 0.0})
-    assert reading is not None
-    assert (reading.bridge, reading.bridge_s, reading.fault) == (True, 2.0, 2)
-    assert (reading.output, reading.oldest_s) == (2.5, 1.0)
-    assert newest.powered
 
 
 def test_a_fault_stays_until_its_word_is_good_again() -> None:

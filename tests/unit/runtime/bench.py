@@ -154,8 +154,9 @@ class FastBench:
     ) -> None:
         self.around = Around()
         self.sent: list[Command] = []
-        self.port = LoopbackPort(self._command, counter_modulus=modulus)
-        self.port.stop_slack_s = slack_s
+        self.port = LoopbackPort(
+            self._command, counter_modulus=modulus, timing=settings.timing, slack_s=slack_s
+        )
         self.machine = Machine(SETTINGS.machine)
         self.controller = MotorController()
         self.loop = FastLoop(self.port, self.controller, self.machine, settings, self.around)

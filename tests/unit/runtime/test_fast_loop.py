@@ -365,6 +365,8 @@ async def test_a_drive_that_went_on_in_a_short_pause_is_driven_on(*, bridge: boo
     async with running_bench(frames=10) as bench:
         known = len(bench.sent)
         bench.thaw(0.9 * STALE_S, bridge=bridge)
+        assert (bench.sent[known:] == []) is not bridge  # one report of off may be a bounce
+        bench.frame(bridge=bridge)
         assert (bench.state() is State.RUNNING) is bridge
         assert bridge or bench.trip.startswith("drive stopped")
         assert bridge or bench.sent[known:] == [SAFE_COMMAND]

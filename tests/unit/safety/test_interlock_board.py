@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
+from adaptdrive.control.signals import Command
 from adaptdrive.runtime.timebase import HalfCycles
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.frames import FrameRate
@@ -22,7 +23,6 @@ TICK_S = 2.0**-7
 START_S = 64.0
 STALE_S = 0.0625
 LIMITS = Limits(boost_voltage_max_V=430.0, output_max=5.0, output_unit="V")
-PORT = LoopbackPort(lambda _: None)
 
 
 @dataclass
@@ -46,7 +46,8 @@ def new_board(
 ) -> InterlockBoard:
     """A board that has not been looked at yet."""
     timing = Timing(TICK_S, STALE_S, ticks_per_reading)
-    return InterlockBoard(LIMITS, timing, watches, PORT, HalfCycles(None, TICK_S).counts, rate)
+    port = LoopbackPort(lambda _: None, timing=timing)
+    return InterlockBoard(LIMITS, timing, watches, port, HalfCycles(None, TICK_S).counts, rate)
 
 
 def board(*watches: NotedWatch, ticks_per_reading: int = 1) -> InterlockBoard:
@@ -61,6 +62,9 @@ def cause_of(
     **changes: object,
 ) -> str | None:  # fmt: skip
     reading = replace(CALM, arrival_s=now_s, oldest_s=now_s, **changes)  # type: ignore[arg-type]
+    monitor = of._port.monitor
+    monitor.command(Command(0.0, 300.0, bridge=bridge))
+    monitor.report(on=reading.bridge, asked_s=now_s, came_s=now_s)
     return text_of(of.running_cause(reading, now_s, running=running, bridge=bridge))
 
 

@@ -23,29 +23,29 @@ def about(value: float) -> object:
 
 def test_limits_of_a_drive_that_sends_each_half_cycle() -> None:
     assert math.inf == EACH.certain_s
-    assert (EACH.silent_s, EACH.unseen_s, EACH.unwatched_s) == (0.08, 0.08, 0.02)
+    assert (EACH.silent_s, EACH.unseen_s, EACH.asleep_s) == (0.08, 0.08, 0.08)
     assert (EACH.overslept_s, EACH.switched_on_s, EACH.switched_off_s) == (0.05, about(0.3), 0.5)
     assert (EACH.command_pause_s, EACH.usual_s) == (about(0.025), about(0.015))
 
 
 def test_limits_of_a_drive_that_is_polled() -> None:
-    assert (POLLED.silent_s, POLLED.unseen_s, POLLED.unwatched_s) == (0.5, 0.08, 0.4)
+    assert (POLLED.silent_s, POLLED.unseen_s, POLLED.asleep_s) == (0.5, 0.08, 0.4)
     assert (POLLED.overslept_s, POLLED.frozen_s) == (0.4, 0.4)
     assert (POLLED.switched_on_s, POLLED.switched_off_s) == (about(0.6), 0.8)
     assert POLLED.taken_s == about(1.2)
 
 
 @pytest.mark.parametrize(
-    ("timeout_s", "certain_s", "silent_s", "unwatched_s"),
-    [(0.05, 0.04, 0.04, 0.02), (0.02, 0.01, 0.01, 0.015), (10.0, 8.0, 0.08, 0.02)],
+    ("timeout_s", "certain_s", "silent_s", "asleep_s"),
+    [(0.05, 0.04, 0.04, 0.04), (0.02, 0.01, 0.01, 0.015), (10.0, 8.0, 0.08, 0.08)],
 )
 def test_a_short_time_out_shortens_what_is_not_seen(
-    timeout_s: float, certain_s: float, silent_s: float, unwatched_s: float
+    timeout_s: float, certain_s: float, silent_s: float, asleep_s: float
 ) -> None:
     short = replace(EACH, command_timeout_s=timeout_s)
     assert short.certain_s == about(certain_s)
     assert short.silent_s == about(silent_s)
-    assert short.unwatched_s == about(unwatched_s)
+    assert short.asleep_s == about(asleep_s)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from adaptdrive.control.signals import Command
@@ -11,7 +11,7 @@ from adaptdrive.devices.binding import BRIDGE
 from adaptdrive.devices.can import database
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.integrity import FrameVerdict
-from adaptdrive.safety.facts import FaultWord, Reading
+from adaptdrive.safety.facts import FaultWord
 from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import Flaw
 
@@ -110,12 +110,7 @@ class StatusAssembly:
 
     Attributes:
         newest: The values, by quantity.
-        bridge_slack_s: Additional age of the report of the bridge, None for a drive that never
-            reports it.
-        bridge_cycle_s: Time from one report of the bridge to the next, 0 for a drive that never
-            reports it, infinite where it is not stated how often the message comes.
-        stop_seen: Whether the drive has reported its bridge off after it had it on, and no reading
-            has carried that yet.
+        bridge: Source of the report of the bridge, None for a drive that never reports it.
     """
 
     def __init__(self, mapping: CanMapping) -> None:
@@ -123,14 +118,9 @@ class StatusAssembly:
         self._sources = {
             one.quantity: (status, one) for status in mapping.statuses for one in status.sources
         }
-        bridge = self._sources.get("bridge", (None, None))[1]
-        self._bridge_on = 1.0 if bridge is None else bridge.on
-        self.bridge_slack_s = None if bridge is None else bridge.slack_s
-        self.bridge_cycle_s = 0.0 if bridge is None else bridge.cycle_s
+        self.bridge = self._sources.get(BRIDGE, (None, None))[1]
         slacks = {name: one.slack_s for name, (_, one) in self._sources.items()}
         self.newest = port.NewestValues(slacks, mapping.others, mapping.faults)
-        self._carried_on = self._come_on = False
-        self.stop_seen = False
 
     def forget(self) -> None:
         """Await a report of the bridge: the bus was opened again; counters may have advanced."""
@@ -145,8 +135,8 @@ class StatusAssembly:
         arrival_s: float,
         *,
         whole: bool = True,
-    ) -> None:
-        """Keep the good values of a message.
+    ) -> bool | None:
+        """Keep the good values of a message; return its report of the bridge, None for none.
 
         Args:
             status: The message.
@@ -158,70 +148,29 @@ class StatusAssembly:
         expected = () if whole else status.sources
         refused = [one.quantity for one in expected if one.quantity not in values]
         self.newest.keep(values, arrival_s, refused)
+        return values[BRIDGE] != 0.0 if BRIDGE in values else None
 
-    def keep_old(self, status: StatusFrame, found: Mapping[str, float]) -> None:
-        """Look at a message that may be an old one: its alive counter leapt, or stands.
-
-        It shows a fault, a bridge that is on, and that a drive which is driven may have stopped.
+    def look_at(self, status: StatusFrame, found: Mapping[str, float]) -> bool | None:
+        """Keep the faults of a message that may be an old one; return its bridge, None for none.
 
         Args:
             status: The message.
             found: Good values by signal.
         """
-        self.newest.keep_old(self._quantities(status, found))
+        values = self._quantities(status, found)
+        self.newest.faults.see(values)
+        return values[BRIDGE] != 0.0 if BRIDGE in values else None
 
     def _quantities(self, status: StatusFrame, found: Mapping[str, float]) -> dict[str, float]:
-        """Return the values of a message by quantity, and note its report of the bridge."""
+        """Return the values of a message by quantity; the bridge is 1 while it is on."""
         values = {}
         for one in status.sources:
             value = found.get(one.field.name)
             if value is not None:
                 values[one.quantity] = value * one.scale + one.offset
-        if "bridge" in values:
-            on = values["bridge"] == self._bridge_on
-            values["bridge"] = float(on)
-            self._note_bridge(on=on)
+        if self.bridge is not None and BRIDGE in values:
+            values[BRIDGE] = float(values[BRIDGE] == self.bridge.on)
         return values
-
-    def _note_bridge(self, *, on: bool) -> None:
-        """Note a report of the bridge, of which there may be several between two readings.
-
-        Before a reading has had it on, it may bounce: the newest report decides.
-        """
-        self._come_on = self._come_on or on
-        if self._carried_on:
-            self.stop_seen = self.stop_seen or not on
-        else:
-            self.stop_seen = self._come_on and not on
-
-    def carry(self, reading: Reading) -> None:
-        """Note a reading that is handed out; a stop seen after it was composed stays.
-
-        Args:
-            reading: The reading.
-        """
-        if reading.fault or reading.warning:
-            self.newest.faults.clear(reading.fault)
-        self.stop_seen = self.stop_seen and reading.bridge
-        self._carried_on = reading.bridge and self.bridge_slack_s is not None
-        self._come_on = self.newest.powered
-
-    def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> Reading | None:
-        """Return the newest values and each fault since the last reading; None before all came.
-
-        A drive that came on by command and stopped between two readings has one with its bridge on
-        first.
-
-        Args:
-            arrival_s: Arrival of the clocking message.
-            bridge_sent: Bridge of the last command: a drive that does not report its bridge is
-                assumed to follow.
-            stopped: Whether the safe command is in force.
-        """
-        reading = self.newest.reading(arrival_s, bridge=bridge_sent)
-        if reading is not None and self.stop_seen and not stopped:  # it was driven meanwhile
-            return replace(reading, bridge=bridge_sent and not self._carried_on)
-        return reading
 
     def oldest(self) -> tuple[StatusFrame, description.Source[database.Located], float, float]:
         """Return the value that is out of date first: its message, its source, and its arrival.

@@ -25,8 +25,7 @@ from adaptdrive.devices.can.assembly import CanMapping, CommandFrame, StatusFram
 from adaptdrive.devices.can.bus import requests
 from adaptdrive.devices.can.codec import frame_key
 from adaptdrive.safety.facts import Reading
-from adaptdrive.safety.monitor import LEAPT, OtherSender, Relink
-from adaptdrive.safety.stop import Obedience
+from adaptdrive.safety.monitor import Doubt, Monitor, Verdict
 from adaptdrive.safety.timing import OBEY_S
 from adaptdrive.safety.trips import Trip, TripKind
 
@@ -43,8 +42,7 @@ class Port:
     Attributes:
         description: The bus in one phrase, such as `udp_multicast 239.74.163.2:43113`.
         counter_modulus: As in `Port`, like all that follow.
-        stop_slack_s: Additional time for the report of the bridge.
-        bridge_cycle_s: Time from one report of the bridge to the next.
+        monitor: What the port has seen of the drive.
     """
 
     def __init__(
@@ -80,21 +78,21 @@ class Port:
         self._assembly = assembly.StatusAssembly(mapping)
         self._statuses = {status.codec.key: status for status in mapping.statuses}
         self._commands = {order.codec.key: order.codec.label for order in mapping.orders}
-        self._others = OtherSender(clock)
         self._refusals = assembly.Refusals()
         self._takes_all = takes_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._stopping = assembly.bridge_first(mapping.orders)
         self.description = self._connection.description
         self.counter_modulus = mapping.counter_modulus
-        self.stop_slack_s = self._assembly.bridge_slack_s
-        self.bridge_cycle_s = self._assembly.bridge_cycle_s
-        limit_s = mapping.timing.obeyed_s(self.bridge_cycle_s)
-        self._obedience = Obedience(limit_s, clock)
-        self._bridge_sent = False
+        bridge = self._assembly.bridge
+        self.monitor = Monitor(
+            mapping.timing,
+            clock,
+            slack_s=None if bridge is None else bridge.slack_s,
+            cycle_s=0.0 if bridge is None else bridge.cycle_s,
+        )
         self._sent_s: dict[int, float] = {}
-        self._relink = Relink()
-        self._leapt_s = self._asked_s = -math.inf
+        self._asked_s = -math.inf
         self._newest: Reading | None = None
 
     @property
@@ -104,18 +102,12 @@ class Port:
 
     @property
     def trip_cause(self) -> Trip | None:
-        """Another sender, a fault not carried yet, commands not taken, or a stop unheard."""
+        """Another sender, a fault that no reading has carried yet, or commands not taken."""
         return (
-            self._others.trip_cause
+            self.monitor.trip_cause
             or self._assembly.newest.faults.trip_cause
             or self._connection.trip_cause
-            or self._relink.trip_cause
         )
-
-    @property
-    def safe_s(self) -> float:
-        """Time at which the bus took the safe command in force, infinite while none is in force."""
-        return self._obedience.since_s
 
     def run(self, listener: port.Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -139,10 +131,8 @@ class Port:
         Returns:
             Whether the bus took it. False is counted, and nothing is sent again. It is withheld
             in every other second of a drive that stays energised after the safe command: silence
-            lets its own time-out switch it off; and for a command that has the bridge on before
-            the first reading of a bus that was opened again, or the next report of a bridge once an
-            alive counter of its drive has leapt, or the reading with a stop that the drive has
-            reported.
+            lets its own time-out switch it off; and for a command that has the bridge on while the
+            drive may have stopped.
 
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
@@ -150,16 +140,14 @@ class Port:
         bridge = command.bridge
         orders = self._due(self._mapping.orders if bridge else self._stopping, bridge=bridge)
         frames = [self._frame(order, command) for order in orders]
-        safe = not bridge and command == SAFE_COMMAND
-        if not safe:
-            self._obedience.forget()
-        self._relink.note_command(bridge=bridge, safe=safe)
-        if self._disobeyed or self._must_report(bridge=bridge):
+        monitor = self.monitor
+        monitor.command(command)
+        if self._is_withheld(bridge=bridge):
             self._counts["withheld_commands"] += 1
             return False
         if not bridge and self._clock() > self._asked_s + _ASK_AGAIN_S:
             self._set_up()
-        if bridge and not self._bridge_sent and not self._set_up():  # it may have started anew
+        if bridge and not monitor.given and not self._set_up():  # it may have started anew
             self._connection.note_command(taken=False)
             return False
         taken = 0
@@ -167,12 +155,12 @@ class Port:
             taken += self._connection.send(frame)
         self._connection.note_command(taken=taken == len(frames))
         if taken < len(frames):  # the frame that energises may be one of those that went out
-            self._bridge_sent = self._bridge_sent or (bridge and taken > 0)
+            monitor.given = monitor.given or (bridge and taken > 0)
             return False
-        self._bridge_sent = bridge
+        monitor.given = bridge
         self._sent_s |= {order.codec.key: self._clock() for order in orders if order.every_s}
-        if safe:
-            self._obedience.note_safe()
+        if command == SAFE_COMMAND:
+            monitor.take_safe()
         return True
 
     def catch_up(self) -> None:
@@ -244,7 +232,7 @@ class Port:
             self._refusals.note(f"0x{frame.arbitration_id:03X}{sender}", None, bytes(frame.data))
         if key in self._commands and not (frame.is_error_frame or frame.is_remote_frame):
             self._counts["foreign_commands"] += 1
-            self._others.note(self._commands[key])
+            self.monitor.note_foreign(self._commands[key])
 
     def _take_status(self, status: StatusFrame, frame: can.Message) -> None:
         waited_s = self._arrivals.waited_s(frame)
@@ -256,36 +244,38 @@ class Port:
         if verdict is not _GOOD:
             self._refuse(status, verdict, data)
             if verdict is integrity.FrameVerdict.COUNTER_LOST:
-                self._await_report(arrival_s)
+                self.monitor.doubt(Doubt.LEAPT, arrival_s)  # the drive may be a new one
             if verdict is not integrity.FrameVerdict.OUT_OF_RANGE:
-                self._assembly.keep_old(status, values)
+                self._take_old(status, values, arrival_s)
                 return
         elif self._refusals.any:
             self._refusals.accept(status.codec.label)
-        self._assembly.keep(status, values, arrival_s, whole=verdict is _GOOD)
+        on = self._assembly.keep(status, values, arrival_s, whole=verdict is _GOOD)
+        if on is not None:
+            self.monitor.report(on=on, asked_s=arrival_s, came_s=arrival_s)
         if status is self._clocking and self._has_page(status, values, data):
-            self._asked_s = max(self._asked_s, arrival_s)
-            reading = self._assembly.reading(
-                arrival_s, bridge_sent=self._bridge_sent, stopped=self._obedience.awaited
-            )
-            self._newest = reading or self._newest
+            self._clock_reading(arrival_s)
             if frame.timestamp and waited_s < integrity.PROMPT_S:
                 self.hand_out()
+
+    def _clock_reading(self, arrival_s: float) -> None:
+        """Make a reading, if every value has come; of a drive without a report it is assumed."""
+        monitor, given = self.monitor, self.monitor.given
+        self._asked_s = max(self._asked_s, arrival_s)
+        self._newest = self._assembly.newest.reading(arrival_s, bridge=given) or self._newest
+        if monitor.slack_s is None:
+            monitor.report(on=given, asked_s=arrival_s, came_s=arrival_s)
+
+    def _take_old(self, status: StatusFrame, values: Mapping[str, float], arrival_s: float) -> None:
+        """Note what a message shows that may be an old one: faults, and what its bridge may do."""
+        on = self._assembly.look_at(status, values)
+        if on is not None:
+            self.monitor.hint(on=on, came_s=arrival_s)
 
     def _has_page(self, status: StatusFrame, found: Mapping[str, float], data: bytes) -> bool:
         """Return whether a good frame of the clocking message has the page that clocks."""
         page = self._mapping.page
         return page is None or page in found or status.codec.carries(data, page)
-
-    def _await_report(self, arrival_s: float) -> None:
-        """Let what energises wait for the next report of the bridge: the drive may be a new one.
-
-        Never for one that does not report its bridge: the wait itself would let it stop.
-        """
-        if self.stop_slack_s is None:
-            return
-        self._leapt_s = arrival_s
-        self._relink.open(bridge=self._bridge_sent, how=LEAPT)
 
     def _refuse(self, status: StatusFrame, verdict: integrity.FrameVerdict, data: bytes) -> None:
         """Count a frame that failed a check, and remember it for reports."""
@@ -299,25 +289,25 @@ class Port:
         """Pass the newest reading on: no more frames wait."""
         reading, self._newest = self._newest, None
         if reading is not None and (listener := self._connection.listener) is not None:
-            self._assembly.carry(reading)
+            if reading.fault or reading.warning:
+                self._assembly.newest.faults.clear(reading.fault)
             self._connection.note_reading()
-            if reading.bridge_reported_s > self._leapt_s:
-                self._relink.note_reading(bridge=reading.bridge)
             listener.on_reading(reading)
 
-    def _must_report(self, *, bridge: bool) -> bool:
-        """Return whether a command must wait for a report of the drive, or for its reading."""
-        return not self._relink.admits(bridge=bridge) or (bridge and self._assembly.stop_seen)
+    def _is_withheld(self, *, bridge: bool) -> bool:
+        """Return whether a command is kept from the drive.
 
-    @property
-    def _disobeyed(self) -> bool:
-        """True in every other second of a drive that is energised long after the safe command."""
-        seconds = self._obedience.overdue_s(powered=self._assembly.newest.powered) / OBEY_S
-        return seconds >= 0.0 and int(seconds) % 2 == 0
+        One that energises waits for a report of a drive that may have stopped. A drive that does
+        not obey gets none in every other second.
+        """
+        verdict = self.monitor.verdict
+        if verdict is Verdict.DISOBEYS:
+            return int(self.monitor.overdue_s / OBEY_S) % 2 == 0
+        return bridge and verdict is not Verdict.OBEYS
 
     def _due(self, orders: Sequence[CommandFrame], *, bridge: bool) -> Sequence[CommandFrame]:
         """Return the frames that go with a command now; all of them where the bridge changes."""
-        if bridge is not self._bridge_sent:
+        if bridge is not self.monitor.given:
             self._sent_s.clear()
         by_s, sent_s = self._clock() + 0.5 * self._reading_s, self._sent_s
         return [one for one in orders if by_s >= sent_s.get(one.codec.key, -math.inf) + one.every_s]
@@ -337,9 +327,7 @@ class Port:
     def _serve(self, announce: Callable[[], None]) -> Awaitable[str]:
         """Use the open bus until it is lost; return the reason."""
         self._newest = None
-        self._obedience.forget()
-        self._relink.open(bridge=self._bridge_sent, reported_on=self._assembly.newest.powered)
-        self._bridge_sent = False
+        self.monitor.lose()
         self._sent_s.clear()
         self._assembly.forget()
         if not self._takes_all:

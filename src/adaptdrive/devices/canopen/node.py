@@ -25,6 +25,8 @@ from adaptdrive.devices.can.bus import describe_bus
 from adaptdrive.devices.canopen import dictionary, profile, sdo
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.monitor import Monitor
+from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import BusError
 
@@ -47,19 +49,25 @@ class Reports:
     """
 
     def __init__(
-        self, mapping: CanOpenMapping, control: profile.DriveControl, counts: Counter[str]
+        self,
+        mapping: CanOpenMapping,
+        control: profile.DriveControl,
+        drive: Monitor,
+        counts: Counter[str],
     ) -> None:
         """Expect PDOs; none has come yet.
 
         Args:
             mapping: PDOs of a reading, and fault words of the drive.
             control: Follows the statusword.
+            drive: Takes what the statusword says of the bridge.
             counts: Counts of the port, to which refused PDOs are added.
         """
         self._values = newest_values(mapping)
         self.faults = self._values.faults
         self._statuses = {status.codec.name: status for status in mapping.statuses}
         self._control = control
+        self._monitor = drive
         self._counts = counts
         self._came: set[str] = set()
         self._sampled_s: float | None = None
@@ -97,7 +105,9 @@ class Reports:
                 return False
         elif self._sampled_s is None:
             self._counts["counter_stuck"] += 1
-        values = self._follow(status, found, arrival_s)
+        values = self._follow(status, found)
+        if (on := values.get(binding.BRIDGE)) is not None:
+            self._note_bridge(arrival_s, on=on != 0.0)
         if name in self._came:
             self.begin(None)
             self._repeated = name
@@ -146,9 +156,14 @@ class Reports:
         self._newest = None
         self._values.forget(binding.BRIDGE)
 
-    def _follow(
-        self, status: StatusPdo, found: Mapping[str, float], arrival_s: float
-    ) -> dict[str, float]:
+    def _note_bridge(self, came_s: float, *, on: bool) -> None:
+        """Report the bridge; a PDO without a SYNC may be an old one."""
+        if self._sampled_s is None:
+            self._monitor.hint(on=on, came_s=came_s)
+        else:
+            self._monitor.report(on=on, asked_s=self._sampled_s, came_s=came_s)
+
+    def _follow(self, status: StatusPdo, found: Mapping[str, float]) -> dict[str, float]:
         """Follow statusword and faults of a PDO; return its values by quantity."""
         values = {
             one.quantity: found[one.item.label] * one.scale + one.offset
@@ -158,7 +173,7 @@ class Reports:
         self.faults.see(values)
         statusword = found.get(_STATUSWORD)
         if statusword is not None:
-            self._control.follow(int(statusword), arrival_s)
+            self._control.follow(int(statusword))
             values[binding.BRIDGE] = float(self._control.state in profile.POWERED)
         return values
 
@@ -171,20 +186,27 @@ class NodePort(bus.CountingPort, ABC):
 
     Attributes:
         description: The bus in one phrase, such as `socketcan can0 node 5`.
+        monitor: What the port has seen of the drive.
     """
 
     def __init__(
-        self, config: CanOpenBus, mapping: CanOpenMapping, clock: Callable[[], float]
+        self,
+        config: CanOpenBus,
+        mapping: CanOpenMapping,
+        timing: Timing,
+        clock: Callable[[], float],
     ) -> None:
         """Prepare for the node; nothing is opened yet.
 
         Args:
             config: `[bus]`.
             mapping: Which object is which quantity.
+            timing: Times of the drive.
             clock: Monotonic clock, in seconds.
         """
         super().__init__()
         self.description = f"{describe_bus(config)} {sdo.describe_node(config)}"
+        self.monitor = Monitor(timing, clock)
         self._config = config
         self._mapping = mapping
         self._clock = clock

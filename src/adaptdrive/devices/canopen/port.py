@@ -23,8 +23,7 @@ from adaptdrive.devices.bus import BusKind, Row, bus_of, stale_limits
 from adaptdrive.devices.can.integrity import PROMPT_S
 from adaptdrive.devices.canopen import node, profile, sdo
 from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
-from adaptdrive.safety.monitor import OtherSender
-from adaptdrive.safety.stop import Obedience
+from adaptdrive.safety.monitor import Verdict
 from adaptdrive.safety.timing import Timing, timing_of
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.clock import pulsing
@@ -57,24 +56,22 @@ class Port(node.NodePort):
         clock: Callable[[], float],
     ) -> None:
         """Prepare for the drive; nothing is opened yet."""
-        super().__init__(config, mapping, clock)
+        super().__init__(config, mapping, timing, clock)
         self.counter_modulus = mapping.counter_modulus
-        self._control = profile.DriveControl(timing.reported_seldom_s)
-        self._reports = node.Reports(mapping, self._control, self._counts)
+        self._control = profile.DriveControl()
+        self._reports = node.Reports(mapping, self._control, self.monitor, self._counts)
         self._master = node.Master(config, self._set_up, self._connection.put, clock)
         self._emergency: profile.Emergency | None = None
         self._half_cycle_s = timing.half_cycle_s
-        self._obedience = Obedience(timing.obeyed_s(0.0), clock)
         self._beat_s = -math.inf
         self._been_up = False
-        self._others = OtherSender(clock)
         self._takers |= self._make_takers()
         self._connection.caught_up = self.hand_out
 
     @property
     def trip_cause(self) -> Trip | None:
         """Reason not to energise the drive, None for no reason."""
-        for seen in (self._others, self._reports.faults, self._connection):
+        for seen in (self.monitor, self._reports.faults, self._connection):
             if seen.trip_cause is not None:
                 return seen.trip_cause
         if self._connection.bus is None and self._control.fallen is None:
@@ -101,11 +98,6 @@ class Port(node.NodePort):
             return None
         return Trip(TripKind.STATE_UNFIT, f"the drive's state is {control.state or _NOT_YET}")
 
-    @property
-    def safe_s(self) -> float:
-        """Time at which the bus took the safe command in force, infinite while none is in force."""
-        return self._obedience.since_s
-
     def send(self, command: Command) -> bool:
         """Send one command now, and the daemon's heartbeat when it is due.
 
@@ -119,10 +111,9 @@ class Port(node.NodePort):
         Raises:
             ValueError: A value is not finite, or its object cannot hold it; nothing is sent.
         """
-        word = self._control.controlword(command, self._clock())
+        word = self._control.controlword(command)
         frames = [order.encode(command, word) for order in self._mapping.orders]
-        if command != SAFE_COMMAND:
-            self._obedience.forget()
+        self.monitor.command(command)
         if not self._master.ready:
             self._counts["send_drops"] += 1
             if command == SAFE_COMMAND:
@@ -132,10 +123,11 @@ class Port(node.NodePort):
         self._connection.note_command(taken=all(taken))
         if not all(taken):
             return False
-        if self._obedience.overdue_s(powered=self._control.powered) <= 0.0:
+        self.monitor.given = command.bridge
+        if self.monitor.verdict is not Verdict.DISOBEYS:
             self._beat()
         if command == SAFE_COMMAND:
-            self._obedience.note_safe()
+            self.monitor.take_safe()
         return True
 
     def catch_up(self) -> None:
@@ -193,7 +185,7 @@ class Port(node.NodePort):
     def _take_foreign_command(self, name: str, frame: can.Message) -> None:
         self._counts["foreign"] += 1
         self._counts["foreign_commands"] += 1
-        self._others.note(f"0x{frame.arbitration_id:03X} ({name})")
+        self.monitor.note_foreign(f"0x{frame.arbitration_id:03X} ({name})")
 
     def _take_sdo_request(self, frame: can.Message) -> None:
         """Note that another sender writes an object; one that reads objects does no harm."""
@@ -269,7 +261,7 @@ class Port(node.NodePort):
         try:
             with pulsing(self._half_cycle_s, *syncs):
                 announce()
-                node = self._master.run(self._report_node, lambda: self._others.trip_cause is None)
+                node = self._master.run(self._report_node, lambda: self.monitor.trip_cause is None)
                 return await self._connection.read_beside(node, "node")
         except Exception:
             self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong
@@ -292,7 +284,7 @@ class Port(node.NodePort):
         """Forget all values that were received before the node came up or was lost."""
         if problem is not None:
             self._control.fall(problem)
-            self._obedience.forget()
+            self.monitor.lose()
         self._control.forget()
         self._reports.forget()
 
@@ -308,9 +300,6 @@ class CanOpenWatch(node.NodePort):
 
     trip_cause = None
     """None: this port cannot energise the drive."""
-
-    safe_s = math.inf
-    """Never: nothing is commanded."""
 
     def send(self, command: Command) -> bool:  # noqa: ARG002 - what a port takes
         """Send nothing."""
@@ -367,7 +356,7 @@ def _build(
 ) -> Port | CanOpenWatch:
     bus, mapping = bus_of(configuration, CanOpenBus), mapped(configuration, source)
     if passive:
-        return CanOpenWatch(bus, mapping, clock)
+        return CanOpenWatch(bus, mapping, timing_of(configuration), clock)
     return Port(bus, mapping, timing_of(configuration), clock)
 
 

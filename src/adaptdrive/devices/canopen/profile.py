@@ -9,7 +9,6 @@ state, is commanded to disable its voltage and is not brought up again before a 
 A fault is reset by an edge of bit 7, and only when that is asked for.
 """
 
-import math
 from collections.abc import Iterator
 from enum import StrEnum
 from functools import cache
@@ -88,28 +87,15 @@ def state_of(statusword: int) -> DriveState:
 class DriveControl:
     """Follows one drive's state, and derives the next controlword.
 
-    A drive that was on is not driven on before it has reported again. One that was only commanded
-    on may be yet to come on, or have stopped, where it reports *switched on* after a silence in
-    which its own time-out may have ended: it falls.
-
     Attributes:
         state: State reported last, None before the first.
-        powered: Whether the power stage may be on, by that state, also a forgotten one.
         fallen: Why the drive is not brought up any further, None while all is well.
     """
 
-    def __init__(self, limit_s: float) -> None:
-        """Expect no statusword yet.
-
-        Args:
-            limit_s: Longest time between two statuswords of a drive that is commanded on, in s.
-        """
-        self._limit_s = limit_s
+    def __init__(self) -> None:
+        """Expect no statusword yet."""
         self.state: DriveState | None = None
-        self.powered = False
         self.fallen: Trip | None = None
-        self._reported_s = math.inf
-        self._commanded_on = False
         self._goal = _REST
         self._rested = False
         self._reached = 0
@@ -120,15 +106,9 @@ class DriveControl:
         """True if the drive is in a fault, or reacts to one."""
         return self.state in _FAULTS
 
-    def follow(self, statusword: int, arrival_s: float) -> None:
-        """Take the drive's state.
-
-        Args:
-            statusword: Its statusword.
-            arrival_s: Arrival of that by the monotonic clock.
-        """
+    def follow(self, statusword: int) -> None:
+        """Take the drive's state from its statusword."""
         self.state = state = state_of(statusword)
-        self.powered = state in POWERED
         if state is DriveState.SWITCH_ON_DISABLED:
             self._rested = True
         if self._goal != _REST and self._rested:
@@ -138,9 +118,6 @@ class DriveControl:
                 self.fall(Trip(TripKind.STATE_LEFT, left))
             else:
                 self._reached = min(rung, self._goal)
-        if state is not DriveState.ENABLED:
-            self._check_silence(arrival_s)
-        self._reported_s = arrival_s
 
     def fall(self, reason: Trip) -> None:
         """Bring an energised drive to rest, and keep it there until it is commanded safe."""
@@ -155,26 +132,8 @@ class DriveControl:
         """Let the coming controlwords reset a fault, if there is one."""
         self._resets = iter(_RESET)
 
-    def controlword(self, command: Command, now_s: float) -> int:
-        """The word to send with a command; a drive that was silent for too long falls before.
-
-        Args:
-            command: Command to the drive.
-            now_s: The monotonic clock.
-        """
-        self._check_silence(now_s)
-        word = self._next_word(command)
-        self._commanded_on = word == ENABLE_OPERATION
-        return word
-
-    def _check_silence(self, now_s: float) -> None:
-        silent_s = now_s - self._reported_s
-        if self._commanded_on and silent_s > self._limit_s:
-            left = "the drive left its state by itself, or may have: nothing was heard of it for"
-            text = f"{left} {silent_s * 1e3:.0f} ms while it was commanded on"
-            self.fall(Trip(TripKind.DRIVE_SILENT, text))
-
-    def _next_word(self, command: Command) -> int:
+    def controlword(self, command: Command) -> int:
+        """Return the word to send with a command to the drive."""
         goal = _REST
         if command.bridge:
             goal = _ENABLED

@@ -17,6 +17,7 @@ from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, Polled
 from adaptdrive.devices.polled.mapping import Named, Poll, explain, written
 from adaptdrive.devices.polled.registers import Block, Exchange
 from adaptdrive.devices.port import Listener
+from adaptdrive.safety.monitor import Monitor
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import BusError
@@ -45,10 +46,13 @@ class Port(Polling[PolledLink, Listener]):
         super().__init__(description, timing.reading_s, clock)
         self._timeout_s = bus.timeout_s
         self._poll = poll
-        self.stop_slack_s = 0.0 if poll.bridge_block else None
+        slack_s = 0.0 if poll.bridge_block else None
+        self.monitor = Monitor(timing, clock, slack_s=slack_s, acknowledges=True)
         look_s = reports.look_limit_s(bus.timeout_s, len(poll.writes))
-        self._history = reports.PollHistory(poll.bridge_block is not None, timing, look_s, clock)
-        self._commander = commander.Commander(poll, self._history, self._counts, clock, timing)
+        self._history = reports.PollHistory(self.monitor, timing, look_s, clock)
+        self._commander = commander.Commander(
+            poll, self.monitor, self._history, self._counts, clock
+        )
         self._link: PolledLink | None = None
         self._assembly = reports.PollAssembly(poll, bus.heartbeat, self._explain)
         self._failure: Trip | None = None
@@ -56,12 +60,11 @@ class Port(Polling[PolledLink, Listener]):
     @property
     def trip_cause(self) -> Trip | None:
         """Reason not to energise the drive: it does not accept its commands, or had a fault."""
-        return self._commander.trip_cause or self._assembly.faults.trip_cause
-
-    @property
-    def safe_s(self) -> float:
-        """Time at which the drive acknowledged the safe command, infinite without one in force."""
-        return self._commander.safe_s
+        return (
+            self.monitor.trip_cause
+            or self._commander.trip_cause
+            or self._assembly.faults.trip_cause
+        )
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the link, call `opened`, and poll until cancelled; reconnect when it is lost.

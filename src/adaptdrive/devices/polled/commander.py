@@ -11,8 +11,7 @@ from adaptdrive.devices.polled import reports
 from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, PolledLink, Void
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, block_words
 from adaptdrive.devices.polled.registers import Block, Exchange
-from adaptdrive.safety.stop import Obedience
-from adaptdrive.safety.timing import Timing
+from adaptdrive.safety.monitor import Monitor, Verdict
 from adaptdrive.safety.trips import Trip
 
 
@@ -65,26 +64,27 @@ class Commander:
     """The newest command of one drive; nothing is queued behind it.
 
     Attributes:
-        safe_s: Time at which it acknowledged the safe command, infinite without one in force.
+        monitor: The facts of the drive.
     """
 
     def __init__(
         self,
         poll: Poll,
+        drive: Monitor,
         history: reports.PollHistory,
         counts: Counter[str],
         clock: Callable[[], float],
-        timing: Timing,
     ) -> None:
         """Hold no command yet.
 
         Args:
             poll: Registers of the drive.
-            history: Notes of what the drive has reported and taken.
+            drive: The facts of the drive.
+            history: Which commands may still go out.
             counts: `sent`, `send_drops` and `withheld_commands` are counted here.
             clock: Monotonic clock, in s.
-            timing: Times of the drive.
         """
+        self.monitor = drive
         self._poll = poll
         self._pace = WritePace(poll, clock)
         self._counts = counts
@@ -95,10 +95,6 @@ class Commander:
         self._history = history
         self._untaken = reports.UntakenCommands()
         self._alive = 0
-        self._begun_s = -math.inf
-        self._taken_s = timing.taken_s
-        self._obedience = Obedience(timing.obeyed_s(timing.reading_s), clock)
-        self.safe_s = math.inf
 
     @property
     def refused_write(self) -> str:
@@ -107,13 +103,13 @@ class Commander:
 
     @property
     def trip_cause(self) -> Trip | None:
-        """Reason not to energise the drive: it does not accept its commands, or has stopped."""
-        return self._untaken.trip_cause or self._history.trip_cause
+        """Reason not to energise the drive: it does not accept its commands."""
+        return self._untaken.trip_cause
 
     @property
     def urgent(self) -> bool:
         """True if the safe command must be sent before anything else."""
-        return self._command == SAFE_COMMAND and self.safe_s == math.inf
+        return self._command == SAFE_COMMAND and self.monitor.safe_s == math.inf
 
     @property
     def _at_once(self) -> bool:
@@ -123,9 +119,7 @@ class Commander:
     @property
     def _disobeyed(self) -> bool:
         """True if the drive is still energised, or may be, long after it was commanded safe."""
-        on = self._obedience.overdue_s(powered=self._history.may_be_on) > 0.0
-        untaken_s = self._clock() - max(self._obedience.since_s, self._begun_s)
-        return on or (self.safe_s == math.inf and untaken_s > self._taken_s)
+        return self.monitor.verdict is Verdict.DISOBEYS
 
     @property
     def pending(self) -> bool:
@@ -140,29 +134,25 @@ class Commander:
         """
         for block, sinks in self._poll.writes:
             block_words(block, sinks, command, 0)
-        if command != SAFE_COMMAND:
-            self._obedience.forget()
         self._history.renew(command)
         self._command = command
         self._withheld = False
 
     def begin(self) -> None:
         """Forget what was acknowledged on the link before."""
-        self.safe_s = math.inf
         self._untaken.clear()
         self._pace.forget()
         self._history.begin()
-        self._begun_s = self._clock()
 
     def note_read(self, *, answered: bool) -> None:
-        """Note the end of a poll, which gives no reading unless its bridge is noted next.
+        """Note the end of a poll.
 
         Args:
             answered: Whether the drive answered.
         """
         if not answered:  # it may have started anew
             self._pace.forget()
-        self._history.note_read(answered=answered)
+        self._history.silent = not answered
 
     def begin_poll(self) -> bool:
         """Begin a poll; return whether the command goes with its first read.
@@ -237,7 +227,7 @@ class Commander:
         parts = [*zip(self._poll.writes, self._words(command), strict=True)]
         if not command.bridge:
             parts.sort(key=lambda part: not _has_switch(part[0][1]))
-        must_stop = command == SAFE_COMMAND and (self.urgent or self._history.may_be_on)
+        must_stop = command == SAFE_COMMAND and (self.urgent or self.monitor.powered)
         self._begin_write(command)
         taken, sent = True, False
         for (block, sinks), registers in parts:
@@ -256,7 +246,7 @@ class Commander:
 
     async def leave_safe(self, link: PolledLink) -> None:
         """Write the safe command as the last one, unless it is in force or none was ever given."""
-        if link.lost is None and self.safe_s == math.inf and self._command is not None:
+        if link.lost is None and self.monitor.safe_s == math.inf and self._command is not None:
             self._command = SAFE_COMMAND
             await self.write(link)
 
@@ -338,15 +328,9 @@ class Commander:
         """Mark the drive's command as unknown, from the first byte sent until the reply."""
         self._written = None
         self._history.attempt(command)
-        if command == SAFE_COMMAND:
-            self._obedience.note_safe()
-        else:
-            self.safe_s = math.inf
 
     def _confirm(self, command: Command, asked_s: float, *, sent: bool = True) -> None:
         self._counts["sent"] += sent
         self._written = command
         self._history.take(command, asked_s)
         self._untaken.clear()
-        if command == SAFE_COMMAND:
-            self.safe_s = min(self.safe_s, self._clock())

@@ -10,8 +10,8 @@ from adaptdrive.devices.description import Source
 from adaptdrive.devices.polled.link import ExchangeError
 from adaptdrive.devices.polled.mapping import HEARTBEAT, Named, Poll, explain, value_in
 from adaptdrive.devices.polled.registers import Block
-from adaptdrive.safety import monitor
 from adaptdrive.safety.facts import Reading
+from adaptdrive.safety.monitor import Doubt, Monitor, Verdict
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip, TripKind
 
@@ -25,97 +25,77 @@ class PollHistory:
     """Notes what the polls of a drive have shown, and what it has taken, each with its time.
 
     Times count from the request: the process may have stood still with the reply in its buffer.
-    The drive may stop by itself at any time. One that does not report its bridge shows nothing, and
-    is commanded all the same. The safe command is always valid.
+    The safe command is always valid.
 
     Attributes:
         bridge: Bridge of the last command that the drive acknowledged.
         silent: Whether the drive did not answer the last poll.
-        may_be_on: Whether the last report, on this link or before, has the bridge on, or it is
-            assumed to be.
         reported_s: When the last report of the bridge was asked for.
         fed_s: When the last command that the drive took was sent.
     """
 
     def __init__(
-        self, reported: bool, timing: Timing, look_s: float, clock: Callable[[], float]
+        self, drive: Monitor, timing: Timing, look_s: float, clock: Callable[[], float]
     ) -> None:
         """Begin without a report of the drive.
 
         Args:
-            reported: Whether the drive reports its bridge.
+            drive: The facts of the drive.
             timing: Times of the drive.
             look_s: Age of a report at which a write still follows it, in s.
             clock: Monotonic clock, in s.
         """
-        self._reported = reported
+        self._monitor = drive
         self._timing = timing
         self._look_s = look_s
         self._clock = clock
-        self._relink = monitor.Relink()
-        self._blank = True
-        self._powered = self._tried = self._outdated = False
-        self._read_s = self._seen_s = -math.inf
+        self._outdated = False
+        self._seen_s = -math.inf
         self._stepped_s = math.inf
-        self.bridge = self.silent = self.may_be_on = False
+        self.bridge = self.silent = False
         self.reported_s = self.fed_s = -math.inf
-
-    @property
-    def trip_cause(self) -> Trip | None:
-        """Reason not to energise the drive: it has stopped; None for none."""
-        return self._relink.trip_cause
 
     def renew(self, command: Command) -> None:
         """Note that a new command was decided."""
-        self._relink.note_command(bridge=command.bridge, safe=command == SAFE_COMMAND)
+        self._monitor.command(command)
         self._outdated = False
 
     def attempt(self, command: Command) -> None:
         """Note that the drive may receive a command from now on."""
-        self._tried = command.bridge
+        if command == SAFE_COMMAND:
+            self._monitor.offer_safe()
+        self._monitor.given = self._monitor.given or command.bridge
 
     def take(self, command: Command, asked_s: float) -> None:
         """Note that the drive has acknowledged a command, which was sent at `asked_s`."""
-        self.bridge, self.fed_s = command.bridge, asked_s
+        self.bridge = self._monitor.given = command.bridge
+        self.fed_s = asked_s
+        if command == SAFE_COMMAND:
+            self._monitor.take_safe()
 
     def begin(self) -> None:
         """Begin a link: nothing is known of the drive on it."""
-        self._relink.open(bridge=self._given_on)
-        self.silent = self.bridge = self._powered = self._tried = False
-        self._blank = True
+        self._monitor.lose()
+        self.silent = self.bridge = False
         self.forget_report()
         self._stepped_s = self._clock()
 
     def note_step(self) -> None:
-        """Note that the port does its work; a command from before a standstill is void."""
+        """Note that the port does its work; a command from before a standstill is void.
+
+        A drive that has neither answered the last read nor taken a command for long may have
+        stopped.
+        """
         now_s = self._clock()  # one look: the process may stand still between two
         self._outdated = self._outdated or self._stands_still(now_s)
         self._stepped_s = now_s
-
-    def note_read(self, *, answered: bool) -> None:
-        """Note the end of a poll, which reports no bridge unless that is noted next.
-
-        A drive that has given none for as long as its own time-out may be, or has neither answered
-        a read nor acknowledged a command, may have stopped: what energises waits for a report, as
-        after a lost link.
-
-        Args:
-            answered: Whether the drive answered: a silent one ignores more than commands.
-        """
-        self.silent = self.silent or not answered
-        if self._is_unheard:
-            how = monitor.UNANSWERED if self.silent else monitor.UNREAD
-            self._relink.open(bridge=self._given_on, how=how)
-        self.silent, self._blank = not answered, True
+        if self.silent and self._may_have_timed_out:
+            self._monitor.doubt(Doubt.UNANSWERED, now_s)
 
     def note_bridge(self, *, powered: bool) -> None:
         """Note whether the drive reports its bridge on, or is assumed to have it on."""
-        if self.bridge and self._powered and not powered:
-            self._outdated = True  # a command from before the bridge went off
-        self._powered = self.may_be_on = powered
-        self._seen_s = self._read_s = self.reported_s
-        self._blank = False
-        self._relink.note_reading(bridge=powered)
+        self._seen_s = self.reported_s
+        self._monitor.report(on=powered, asked_s=self.reported_s, came_s=self._clock())
 
     def forget_report(self) -> None:
         """Begin a poll: reports of the one before do not count for its commands."""
@@ -125,13 +105,13 @@ class PollHistory:
         """Return whether a command is still valid.
 
         A process that did not run for long finds here what it decided before: that is void. So is
-        one for a drive that was on when its link was lost or a read failed, before it is read, and
-        one that was decided by a reading of long ago.
+        one that energises a drive which may have stopped.
         """
         if command == SAFE_COMMAND:
             return True
-        void = self._outdated or self._stands_still(self._clock()) or self._is_unheard
-        return not void and self._relink.admits(bridge=command.bridge)
+        if self._outdated or self._stands_still(self._clock()):
+            return False
+        return not command.bridge or self._monitor.verdict is Verdict.OBEYS
 
     def may_go(self, command: Command, *, joined: bool) -> bool:
         """Return whether a valid command may be written: the poll has a report still good.
@@ -140,7 +120,7 @@ class PollHistory:
             command: The command.
             joined: Whether it goes with the read that would show a stop, before its reply.
         """
-        if not (command.bridge and self._reported):
+        if not command.bridge or self._monitor.slack_s is None:
             return True
         age_s, timing = self._clock() - self._seen_s, self._timing
         if joined:  # now and then, commands would be far apart
@@ -149,20 +129,9 @@ class PollHistory:
         return age_s < math.inf and (age_s <= self._look_s or not self._may_have_timed_out)
 
     @property
-    def _given_on(self) -> bool:
-        """True if the last command that the drive may have received had the bridge on."""
-        return self.bridge or self._tried
-
-    @property
     def _may_have_timed_out(self) -> bool:
         """True if the drive has taken no command for as long as its own time-out may be."""
         return self._clock() - self.fed_s > self._timing.silent_s
-
-    @property
-    def _is_unheard(self) -> bool:
-        """True if the drive may have stopped: it neither answers nor takes, or gives no reading."""
-        unread = self._blank and self._clock() - self._read_s > self._timing.silent_s
-        return unread or (self.silent and self._may_have_timed_out)
 
     def _stands_still(self, now_s: float) -> bool:
         return now_s - self._stepped_s > self._timing.frozen_s

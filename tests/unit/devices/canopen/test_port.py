@@ -18,6 +18,7 @@ from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.devices.canopen.mapping import map_drive
 from adaptdrive.devices.canopen.port import CanOpenWatch
+from adaptdrive.safety.timing import timing_of
 from tests.unit.devices.bench import until
 from tests.unit.devices.canopen.bench import RUN, Ear, driven, ready, running
 from tests.unit.devices.canopen.documents import EDS, MEMORY, other_eds, parse, without
@@ -147,7 +148,7 @@ async def test_a_lost_node_takes_the_safe_command_of_each_tick_and_no_other(peer
         await until(lambda: len(peer.words) == heard + 2)
         assert peer.words[heard:] == [0x00, 0x00]
         assert len(peer.beats) == known
-        assert bench.port.safe_s == math.inf
+        assert bench.port.monitor.safe_s == math.inf
 
 
 async def test_a_lost_node_that_obeys_nothing_is_switched_off_by_its_own_watch(peer: Peer) -> None:
@@ -426,8 +427,9 @@ async def test_a_drive_that_is_not_there_is_waited_for(tmp_path: Path) -> None:
 
 def watching(config: CanOpenBus) -> CanOpenWatch:
     """A port that only looks at the drive."""
-    mapping = map_drive(config, parse().signals)
-    return CanOpenWatch(config, mapping, asyncio.get_running_loop().time)
+    configuration = parse()
+    mapping = map_drive(config, configuration.signals)
+    return CanOpenWatch(config, mapping, timing_of(configuration), asyncio.get_running_loop().time)
 
 
 async def test_looking_at_a_drive_writes_nothing_to_it(peer: Peer) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from canopen.profiles.p402 import State402
 from hypothesis import given
@@ -59,38 +57,38 @@ def test_the_controlwords_are_those_of_the_librarys_transitions() -> None:
 
 def risen(*states: int, command: Command = RUN) -> DriveControl:
     """A control whose drive has shown some states, each after a command."""
-    control = DriveControl(math.inf)
+    control = DriveControl()
     for state in states:
-        control.follow(state, 0.0)
-        control.controlword(command, 0.0)
+        control.follow(state)
+        control.controlword(command)
     return control
 
 
 def test_a_drive_is_brought_up_one_transition_at_a_time() -> None:
-    control = DriveControl(math.inf)
+    control = DriveControl()
     sent = []
     for state in (REST, REST, READY, READY, SWITCHED_ON, SWITCHED_ON, ENABLED, ENABLED):
-        control.follow(state, 0.0)
-        sent.append(control.controlword(RUN, 0.0))
+        control.follow(state)
+        sent.append(control.controlword(RUN))
     assert sent == [6, 6, 7, 7, 15, 15, 15, 15]
     assert control.fallen is None
 
 
 def test_charging_stops_short_of_enabled_operation() -> None:
     control = risen(REST, READY, SWITCHED_ON, command=CHARGE)
-    assert control.controlword(CHARGE, 0.0) == SWITCH_ON
-    assert control.controlword(RUN, 0.0) == ENABLE_OPERATION
-    control.follow(ENABLED, 0.0)
-    assert control.controlword(CHARGE, 0.0) == SWITCH_ON  # disables operation
-    control.follow(ENABLED, 0.0)  # the drive has not got there yet
-    control.follow(SWITCHED_ON, 0.0)
+    assert control.controlword(CHARGE) == SWITCH_ON
+    assert control.controlword(RUN) == ENABLE_OPERATION
+    control.follow(ENABLED)
+    assert control.controlword(CHARGE) == SWITCH_ON  # disables operation
+    control.follow(ENABLED)  # the drive has not got there yet
+    control.follow(SWITCHED_ON)
     assert control.fallen is None
 
 
 @pytest.mark.parametrize("state", [READY, SWITCHED_ON, ENABLED, FAULT, QUICK_STOP, NOT_READY])
 def test_a_drive_is_brought_up_from_rest_only(state: int) -> None:
-    assert DriveControl(math.inf).controlword(RUN, 0.0) == DISABLE_VOLTAGE
-    assert risen(state).controlword(RUN, 0.0) == DISABLE_VOLTAGE
+    assert DriveControl().controlword(RUN) == DISABLE_VOLTAGE
+    assert risen(state).controlword(RUN) == DISABLE_VOLTAGE
 
 
 @pytest.mark.parametrize("state", [REST, READY, FAULT, REACTION, QUICK_STOP, NOT_READY, 0x0003])
@@ -98,26 +96,26 @@ def test_a_drive_that_falls_back_is_not_brought_up_again_before_it_was_commanded
     state: int,
 ) -> None:
     control = risen(REST, READY, SWITCHED_ON, ENABLED)
-    control.follow(state, 0.0)
+    control.follow(state)
     assert control.fallen is not None
-    assert control.controlword(RUN, 0.0) == DISABLE_VOLTAGE
-    control.follow(REST, 0.0)
-    assert control.controlword(RUN, 0.0) == DISABLE_VOLTAGE
-    assert control.controlword(SAFE_COMMAND, 0.0) == DISABLE_VOLTAGE
+    assert control.controlword(RUN) == DISABLE_VOLTAGE
+    control.follow(REST)
+    assert control.controlword(RUN) == DISABLE_VOLTAGE
+    assert control.controlword(SAFE_COMMAND) == DISABLE_VOLTAGE
     assert control.fallen is None
-    control.follow(REST, 0.0)
-    assert control.controlword(RUN, 0.0) == SHUTDOWN
+    control.follow(REST)
+    assert control.controlword(RUN) == SHUTDOWN
 
 
 def test_switched_off_and_on_between_two_statuswords_it_waits_for_rest() -> None:
     control = risen(REST, READY, SWITCHED_ON, ENABLED)
-    control.controlword(SAFE_COMMAND, 0.0)
-    assert control.controlword(RUN, 0.0) == DISABLE_VOLTAGE
-    control.follow(ENABLED, 0.0)  # sent before the drive obeyed
-    assert control.controlword(RUN, 0.0) == DISABLE_VOLTAGE
+    control.controlword(SAFE_COMMAND)
+    assert control.controlword(RUN) == DISABLE_VOLTAGE
+    control.follow(ENABLED)  # sent before the drive obeyed
+    assert control.controlword(RUN) == DISABLE_VOLTAGE
     assert control.fallen is None
-    control.follow(REST, 0.0)
-    assert control.controlword(RUN, 0.0) == SHUTDOWN
+    control.follow(REST)
+    assert control.controlword(RUN) == SHUTDOWN
 
 
 @given(st.lists(st.tuples(statuswords, commands), max_size=60))
@@ -125,10 +123,10 @@ def test_whatever_a_drive_says_it_is_never_enabled_out_of_turn(
     story: list[tuple[int, Command]],
 ) -> None:
     """Bit 3 goes to a drive that has climbed since it was commanded safe, and to no other."""
-    control, climbed = DriveControl(math.inf), False
+    control, climbed = DriveControl(), False
     for word, command in story:
-        control.follow(word, 0.0)
-        sent = control.controlword(command, 0.0)
+        control.follow(word)
+        sent = control.controlword(command)
         assert sent & FAULT_RESET == 0
         if command == SAFE_COMMAND:
             assert sent == DISABLE_VOLTAGE

@@ -350,6 +350,9 @@ async def driven(
 ) -> AsyncIterator[Bench]:
     """Run a port whose drive, with this state, was commanded on and has its bridge on."""
     async with benched(kind, **changes) as one:
+        if state is not None and "address = 0" not in (changes.get("bus__registers__on") or ""):
+            one.peer.state = 0  # it is off before it comes on by the command
+            await until(lambda: not one.ear.readings[-1].bridge)
         one.peer.state = state
         one.port.send(RUN)
         await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)

@@ -209,9 +209,9 @@ async def test_a_reply_that_repeats_another_write_confirms_no_stop(
         one.port.send(SAFE_COMMAND)
         await until(lambda: one.port.trip_cause is not None)
         assert "a reply that belongs to another request" in str(one.port.trip_cause)
-        assert one.port.safe_s == math.inf
+        assert one.port.monitor.safe_s == math.inf
         make(one.peer, HEALTHY)
-        await until(lambda: one.port.safe_s < math.inf)
+        await until(lambda: one.port.monitor.safe_s < math.inf)
 
 
 @pytest.mark.parametrize("kind", ["tcp", "rtu"])
@@ -398,9 +398,9 @@ async def test_a_late_reply_to_another_command_confirms_no_stop(
         one.port.send(SAFE_COMMAND)
         await one.is_told(0, 0)
         await one.asks(6)
-        assert one.port.safe_s == math.inf
+        assert one.port.monitor.safe_s == math.inf
         one.peer.spoil = untouched
-        await until(lambda: one.port.safe_s < math.inf)
+        await until(lambda: one.port.monitor.safe_s < math.inf)
         one.check_honesty()
 
 

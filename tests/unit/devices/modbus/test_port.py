@@ -167,10 +167,11 @@ async def test_a_drive_that_was_on_when_its_link_was_lost_is_read_before_it_is_d
         one.port.send(RUN)
         one.peer.start()
         await one.hears_of_bus(up=True)
-        assert "the bus was lost meanwhile" in str(one.port.trip_cause)
+        await until(lambda: one.port.monitor.stop is not None)
+        assert "the bus was lost meanwhile" in str(one.port.monitor.stop)
         assert not any(registers[1] for _, registers in one.peer.writes[written:])
         one.port.send(SAFE_COMMAND)
-        assert one.port.trip_cause is None
+        assert one.port.monitor.stop is None
         await until(lambda: len(one.peer.writes) > written and one.told()[1] == 0)
 
 
@@ -236,11 +237,11 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(changes
         known, one.peer.state = len(one.peer.writes), 0
         one.peer.dead = set()
         await one.hears(2)
-        assert "a read had no answer meanwhile" in str(one.port.trip_cause)
+        assert "a read had no answer meanwhile" in str(one.port.monitor.stop)
         assert len(one.peer.writes) == known
         assert one.port.statistics.withheld_commands == 1  # one was given, and waits since
         one.port.send(SAFE_COMMAND)
-        assert one.port.trip_cause is None
+        assert one.port.monitor.stop is None
 
 
 @BOTH_WAYS
@@ -274,6 +275,7 @@ async def test_a_command_from_before_the_bridge_went_off_is_not_written_again() 
         await until(lambda: [bridge for bridge, _ in written].count(False) == 4)
         known = next(count for bridge, count in written if not bridge)
         assert len(one.peer.writes) == known
+        one.port.send(SAFE_COMMAND)
         one.port.send(RUN)
         await until(lambda: len(one.peer.writes) > known)
 
@@ -425,6 +427,12 @@ async def test_a_drive_that_came_on_beside_refused_values_and_stopped_is_not_dri
 async def test_a_drive_whose_heartbeat_stands_still_gets_no_old_command(*, stops: bool) -> None:
     """Its polls are answered, and give no reading: nothing is decided anew."""
     async with driven(None, **ON_OF_TWO, bus__heartbeat__drive='"state"') as one:
+        one.port.send(SAFE_COMMAND)
+        one.peer.voltage &= ~4
+        await until(lambda: not one.ear.readings[-1].bridge)
+        one.port.send(RUN)
+        one.peer.voltage |= 4
+        await until(lambda: one.ear.readings[-1].bridge)
         one.peer.state = 1
         await one.asks(8)
         if stops:

@@ -142,7 +142,7 @@ async def test_a_stop_begins_with_the_output_and_is_confirmed_by_its_question_al
     await rig.runs()
     rig.supply.obeys = False
     rig.port.send(SAFE_COMMAND)
-    await until(lambda: rig.port.safe_s < math.inf)
+    await until(lambda: rig.port.monitor.safe_s < math.inf)
     commands = rig.supply.commands
     assert commands.index("OUTP OFF") < commands.index("VOLT 0.000")
     await rig.hears(3)
@@ -247,9 +247,9 @@ async def test_a_setting_that_is_answered_is_taken_once_its_answer_has_come(rig:
     rig.port.send(SAFE_COMMAND)
     refused = "'ERR' came in reply to 'VOLT 0.000'"
     await until(lambda: any(refused in line for line in rig.port.details()))
-    assert rig.port.safe_s == math.inf
+    assert rig.port.monitor.safe_s == math.inf
     rig.supply.answer = b"OK\n"
-    await until(lambda: rig.port.safe_s < math.inf)
+    await until(lambda: rig.port.monitor.safe_s < math.inf)
     assert rig.supply.connections == 1
 
 
@@ -355,7 +355,7 @@ async def test_a_reply_that_is_no_voltage_is_not_used_and_the_stop_is_confirmed_
     await rig.runs()
     rig.supply.spoil = lambda line: reply if line == "MEAS:VOLT?" else None
     rig.port.send(SAFE_COMMAND)
-    await until(lambda: rig.port.safe_s < math.inf)
+    await until(lambda: rig.port.monitor.safe_s < math.inf)
     await until(lambda: not rig.ear.readings[-1].bridge)
     await rig.hears()
     gives = f"MEAS:VOLT? gives {reply.decode().strip()!r}, no number in its range"
@@ -373,6 +373,6 @@ async def test_a_command_counts_as_taken_only_when_the_supply_says_that_it_is_do
     rig.port.send(SAFE_COMMAND)
     known = len(rig.supply.commands)
     await until(lambda: rig.supply.commands[known:].count("OUTP OFF") >= 2)
-    assert rig.port.safe_s == math.inf
+    assert rig.port.monitor.safe_s == math.inf
     rig.supply.spoil = lambda _: None
-    await until(lambda: rig.port.safe_s < math.inf)
+    await until(lambda: rig.port.monitor.safe_s < math.inf)
