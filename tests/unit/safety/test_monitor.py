@@ -145,6 +145,8 @@ SCRIPTS: list[tuple[dict[str, Any], list[Look], str]] = [
     ({}, [on(0), on(11, "?", old=11, unwatched=11), on(14, "?", old=3), off(15, "!")], not_run(11)),
     ({}, [on(0), *(on(n, "?", old=n, unwatched=11 if n == 11 else 1) for n in (11, 12, 13)),
           on(14, "?", old=3), off(15, "!")], not_run(11)),
+    # nor one that was asked for before it
+    ({}, [on(0), on(11, "?", old=11, unwatched=11), on(14, "?", polled=5), on(15)], ""),
     # of several such times the longest is named, and the last one counts
     ({}, [on(0), on(11, "?", old=11, unwatched=11), on(22, "?", old=22, unwatched=10.5),
           on(23, "?", old=2), off(24, "!")], not_run(11)),
@@ -285,6 +287,8 @@ def test_another_master_is_remembered_for_five_seconds() -> None:
     assert "2 x frame" in str(drive.watch.trip_cause)
     drive.now_s += 0.1
     assert drive.watch.trip_cause is None
+    drive.watch.note_foreign("0x200 Command")
+    assert "1 x frame" in str(drive.watch.trip_cause)
 
 
 def test_a_drive_that_stopped_while_its_bus_was_lost_waits_for_the_safe_command() -> None:
