@@ -15,7 +15,8 @@ from cyclopts import Parameter
 
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.cli.options import Integer, read_address
-from adaptdrive.config import file, root, services
+from adaptdrive.config import file, root
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive.util.errors import AdaptdriveError, RefusedError, first_error
 from adaptdrive.util.log import configured, log
 from adaptdrive_sim.devices import can, canopen, disturbances, modbus, scpi
@@ -61,7 +62,7 @@ class DeviceSettings:
     port: Integer | None = None
 
 
-def parse_address(text: str) -> services.Mqtt:
+def parse_address(text: str) -> Broker:
     """Read `HOST:PORT`, where an IPv6 address stands in brackets; the port may be left out.
 
     Raises:
@@ -71,7 +72,7 @@ def parse_address(text: str) -> services.Mqtt:
         host, port = read_address(text)
     except ValueError as problem:
         raise RefusedError(f"broker {text!r} is not HOST:PORT") from problem
-    return services.Mqtt(host=host, port=port)
+    return Broker(host, port)
 
 
 # The simulated drive as a process: building it, its log, and its orderly end.

@@ -14,7 +14,7 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
 from adaptdrive.control import schedule, signals
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.supervision.setpoints import Reach
+from adaptdrive.control.signals import Reach
 from adaptdrive.runtime import reports, requests, state_machine
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import RefusedError

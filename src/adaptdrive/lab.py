@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 from adaptdrive.config import Configuration, load_configuration
-from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.client import NoAnswerError, read_status, send_command, telemetry
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive.mqtt.contract import Reply
 from adaptdrive.recording.session import SessionInfo
 from adaptdrive.util.errors import RefusedError
@@ -177,7 +177,7 @@ class Drive:
     the drive refuses, such as `over-voltage`, and empty for any other reason.
     """
 
-    def __init__(self, name: str, broker: Mqtt | None = None, timeout_s: float = 5.0) -> None:
+    def __init__(self, name: str, broker: Broker | None = None, timeout_s: float = 5.0) -> None:
         """Name a drive; nothing is connected yet.
 
         Args:
@@ -186,7 +186,7 @@ class Drive:
             timeout_s: Longest wait for a reply.
         """
         self._name = name
-        self._broker = broker or Mqtt()
+        self._broker = broker or Broker()
         self._timeout_s = timeout_s
 
     async def state(self) -> dict[str, Any]:

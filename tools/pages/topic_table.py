@@ -14,7 +14,6 @@ from typing import Annotated, Any, get_type_hints
 
 import msgspec
 
-from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.signals import Estimate, Measurement
 from adaptdrive.mqtt.commands import FORMS
 from adaptdrive.mqtt.contract import (
@@ -39,7 +38,7 @@ from adaptdrive.runtime.reports import (
     SensorReport,
     StateReport,
 )
-from adaptdrive.util.quantity import Column, columns_of
+from adaptdrive.util.quantity import MEASURED, Column, columns_of
 
 Member = tuple[str, Any]
 """Name and type of a key, the type annotated with its meaning."""

@@ -24,9 +24,10 @@ import tomlkit
 from adaptdrive.app.process import NAMESPACE
 from adaptdrive.app.settings import operator_profile
 from adaptdrive.cli.desk import panel_address
-from adaptdrive.config import bus, file, services
+from adaptdrive.config import file
 from adaptdrive.mqtt import commands, contract
 from adaptdrive.mqtt.client import NoAnswerError
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive.processes import BROKER, Child, Ports, ProcessGroup
 from adaptdrive.recording.session import Ending, read_info
 from adaptdrive.runtime import reports
@@ -35,6 +36,7 @@ from adaptdrive.safety.trips import TripKind
 from adaptdrive.tui import follow_drive, over_mqtt
 from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive.util.errors import RecordingError, RefusedError
+from adaptdrive.util.quantity import MEASURED
 from adaptdrive_sim.demo import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import DemoRecord, Story
 from adaptdrive_sim.device import DeviceSettings, build_world
@@ -85,7 +87,7 @@ class RealStage:
         group = f"239.74.{number >> 8 & 255}.{number & 255}"
         document = story.document()
         self.drive_name = str(document["drive"]["name"])
-        self._broker = services.Mqtt(port=self._ports.take())
+        self._broker = Broker(port=self._ports.take())
         self.broker = f"{self._broker.host}:{self._broker.port}"
         self._page, self._websocket = self._ports.take(), self._ports.take()
         document["bus"] |= {"interface": "udp_multicast", "channel": group, "udp_port": port}
@@ -346,7 +348,7 @@ class VirtualStage:
     def _report(self) -> None:
         """Publish what the fast loop measures, and the truth."""
         sample = self.drive.sample
-        content = {name: getattr(sample, name) for name in bus.MEASURED}
+        content = {name: getattr(sample, name) for name in MEASURED}
         counts = {"ticks": self.drive.ticks, "missed": 0, "held": 0, "age_s": 0.0}
         self._publish("telemetry/drive", {"time": self._now, **content, **counts})
         self._publish_truth()

@@ -38,7 +38,7 @@ from typing import Any, TypeVar
 import aiomqtt
 import msgspec
 
-from adaptdrive.config.services import Mqtt
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive.mqtt.contract import DeviceReply, Feature, simulator_topic
 from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.util.errors import NOT_JSON, RefusedError
@@ -263,7 +263,7 @@ CLOSING_s = 1.0
 class Remote:
     """Serves one simulated drive on one broker."""
 
-    def __init__(self, broker: Mqtt, name: str, drive: SimulatedDrive) -> None:
+    def __init__(self, broker: Broker, name: str, drive: SimulatedDrive) -> None:
         self._broker = broker
         self._name = name
         self._drive = drive

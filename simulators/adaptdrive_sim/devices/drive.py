@@ -20,9 +20,9 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from adaptdrive.config.bus import MEASURED
 from adaptdrive.control import fast
 from adaptdrive.util.clock import TickTimer
+from adaptdrive.util.quantity import MEASURED
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import HeldOutput, Sample
 from adaptdrive_sim.world import World

@@ -24,12 +24,13 @@ from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from adaptdrive.config import polled
-from adaptdrive.config.bus import COMMANDED, MEASURED
+from adaptdrive.config.bus import COMMANDED
 from adaptdrive.config.root import Configuration
 from adaptdrive.devices.modbus.link import describe_bus
 from adaptdrive.devices.polled import mapping
 from adaptdrive.devices.polled import registers as codec
 from adaptdrive.util.errors import BusError
+from adaptdrive.util.quantity import MEASURED
 from adaptdrive_sim.devices.drive import QUANTITIES, DriveNode, Frame, SimulatedDrive
 
 # A serial cable without wires: two pseudo-terminals, each end of which is a serial port.

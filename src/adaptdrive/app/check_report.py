@@ -11,8 +11,7 @@ from adaptdrive.app.examine import advice
 from adaptdrive.app.settings import daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.root import DriveSection
-from adaptdrive.control.signals import Command
-from adaptdrive.control.supervision.setpoints import Reach
+from adaptdrive.control.signals import Command, Reach
 from adaptdrive.devices.bus import Row
 from adaptdrive.runtime.accounts import WINDOW_S
 from adaptdrive.runtime.settings import MachineLimits

@@ -15,6 +15,7 @@ from io import FileIO, TextIOWrapper
 from pathlib import Path
 from typing import Literal, TextIO
 
+from adaptdrive import __version__, build_name
 from adaptdrive.util.errors import AdaptdriveError, ConfigurationError
 
 INTERRUPTED = 130
@@ -79,13 +80,20 @@ def carry_out(
 
 
 def _command(words: Sequence[str]) -> Callable[[], object]:
-    """Return what the words ask for; `run FILE` starts without what understands other words."""
+    """Return what the words ask for; some start without what understands other words."""
     match words:
+        case ["--version"]:
+            return lambda: print(version())
         case ["run", file] if not file.startswith("-"):
             return lambda: run(Path(file))
     from adaptdrive.cli.options import build_app, parsed_command  # noqa: PLC0415 - see above
 
     return parsed_command(build_app(), words)
+
+
+def version() -> str:
+    """Return the version of this program, and how it was built."""
+    return f"{__version__} ({build_name()})"
 
 
 def run(config: Path, /) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,13 +16,12 @@ import cyclopts
 import msgspec
 from cyclopts import App, Parameter
 
-from adaptdrive import __version__, build_name
-from adaptdrive.cli import UNUSABLE, print_error
+from adaptdrive.cli import UNUSABLE, print_error, version
 from adaptdrive.runtime.requests import REQUESTS
 from adaptdrive.util.errors import ConfigurationError, nearest
 
 if TYPE_CHECKING:  # no command needs it for its help
-    from adaptdrive.config.services import Mqtt
+    from adaptdrive.mqtt.connection import Broker
 
 # The commands.
 
@@ -91,7 +91,7 @@ def build_app() -> App:
     app = App(
         name="adaptdrive",
         help="Adaptive control of speed, temperature and charge behind a power-electronic drive.",
-        version=lambda: f"{__version__} ({build_name()})",
+        version=version,
         print_error=False,
         exit_on_error=False,
         suppress_keyboard_interrupt=False,
@@ -227,7 +227,7 @@ def read_address(text: str, port: int = _PORT) -> tuple[str, int]:
     Raises:
         ValueError: It is no such thing.
     """
-    from adaptdrive.config.services import check_host  # noqa: PLC0415 - few commands need it
+    from adaptdrive.util.clock import check_host  # noqa: PLC0415 - few commands need it
 
     match = _ADDRESS.fullmatch(text)
     number = int(match["port"] or port) if match is not None else 0
@@ -299,27 +299,45 @@ class Contact:
     as_json: Json = False
 
     @property
-    def settings(self) -> Mqtt:
-        """The broker, in the words of the configuration.
+    def settings(self) -> Broker:
+        """The broker, and the login there.
 
         Raises:
-            ConfigurationError: The configuration cannot be used.
+            ConfigurationError: The configuration has no broker that can be used.
         """
-        from adaptdrive.config.file import load_configuration  # noqa: PLC0415 - `--help` needs none
-        from adaptdrive.config.services import Mqtt  # noqa: PLC0415 - as above
+        from adaptdrive.mqtt.connection import Broker  # noqa: PLC0415 - `--help` needs none
 
-        known = Mqtt() if self.config is None else load_configuration(self.config).mqtt
-        tls = self.tls or (known.tls and self.broker is None)
-        host, port = known.host, known.port
+        host, port, tls, ca_file = _BROKER if self.config is None else _broker_in(self.config)
+        tls = self.tls or (tls and self.broker is None)
         if self.broker is not None:
             host, port = read_address(self.broker, _TLS_PORT if tls else _PORT)
         elif self.config is None and tls:
             port = _TLS_PORT
-        return Mqtt(
-            host=host,
-            port=port,
-            tls=tls,
-            ca_file=self.ca_file or (known.ca_file if tls else None),
-            username=self.username,
-            password_file=self.password_file,
-        )
+        ca_file = self.ca_file or (ca_file if tls else None)
+        return Broker(host, port, tls, ca_file, self.username, self.password_file)
+
+
+_BROKER = "127.0.0.1", _PORT, False, None
+
+
+def _broker_in(path: Path) -> tuple[str, int, bool, Path | None]:
+    """Return host, port, TLS and authority from the section `[mqtt]` of a configuration.
+
+    The other sections are not looked at: a stop needs none of them.
+
+    Raises:
+        ConfigurationError: The file cannot be read, or the section not be used.
+    """
+    from adaptdrive.util.files import read_regular  # noqa: PLC0415 - few commands need it
+
+    try:
+        table = tomllib.loads(read_regular(path).decode("utf-8-sig")).get("mqtt", {})
+        host, port = table.get("host", _BROKER[0]), table.get("port", _PORT)
+        read_address(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")
+        ca_file = table.get("ca_file")
+        return host, port, table.get("tls", False) is True, ca_file and path.parent / ca_file
+    except (OSError, ValueError, TypeError, AttributeError):
+        from adaptdrive.config.file import load_configuration  # noqa: PLC0415 - as above
+
+        known = load_configuration(path).mqtt  # raises what is wrong, with its place
+        return known.host, known.port, known.tls, known.ca_file

@@ -13,7 +13,6 @@ from typing import Any
 
 from adaptdrive.commissioning.course import Samples
 from adaptdrive.commissioning.experiment import LoadExperiment
-from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.client import (
     DriveStatus,
     NoAnswerError,
@@ -22,6 +21,7 @@ from adaptdrive.mqtt.client import (
     telemetry,
 )
 from adaptdrive.mqtt.commands import number, part
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive.mqtt.contract import Reply
 from adaptdrive.tui.terminal import whole
 from adaptdrive.util.errors import AdaptdriveError, CommissionError, first_error
@@ -75,7 +75,7 @@ def reading_of(content: dict[str, Any]) -> FastReading | None:
     return FastReading(time_s, *values, bridge=bool(part(content, "command").get("bridge")))
 
 
-async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading, None]:
+async def fast_readings(broker: Broker, drive: str) -> AsyncGenerator[FastReading, None]:
     """Yield one reading for each measurement of a drive, in the order of their times.
 
     A drive that is polled slowly shows a measurement in several messages. One of them is yielded
@@ -168,7 +168,7 @@ class Guide:
         unstopped: Why the stop at the end is not confirmed; empty where it is.
     """
 
-    def __init__(self, broker: Mqtt, drive: str, timeout_s: float) -> None:
+    def __init__(self, broker: Broker, drive: str, timeout_s: float) -> None:
         """Name a drive; nothing is connected yet.
 
         Args:

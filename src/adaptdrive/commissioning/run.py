@@ -14,9 +14,10 @@ from adaptdrive.app.process import LockedError, locked
 from adaptdrive.commissioning import client, evaluation, picture, proposal
 from adaptdrive.commissioning.course import Samples, Target, build_target
 from adaptdrive.commissioning.experiment import LoadExperiment
-from adaptdrive.config import root, services
+from adaptdrive.config import root
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
 from adaptdrive.mqtt.client import LIVE_S, NoAnswerError
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive.safety.timing import timing_of
 from adaptdrive.tui.terminal import ended_once, print_line, whole
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
@@ -112,7 +113,7 @@ _WATCHED_S = 5.0
 
 
 @contextmanager
-def alone(drive: str, broker: services.Mqtt) -> Iterator[None]:
+def alone(drive: str, broker: Broker) -> Iterator[None]:
     """Keep other experiments off a drive until the block ends.
 
     Args:

@@ -16,8 +16,8 @@ from adaptdrive.config.section import (
     key,
 )
 from adaptdrive.util.errors import Flaw
+from adaptdrive.util.quantity import MEASURED
 
-MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 WATCHED = ("fault", "faults", "warning")
 WORDS = ("counter", *WATCHED, "bridge")
 CODE = ".code"

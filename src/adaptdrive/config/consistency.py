@@ -6,10 +6,11 @@ from graphlib import CycleError
 from operator import attrgetter
 
 from adaptdrive.config import references, root, section
-from adaptdrive.config.bus import MEASURED, WORDS, CanBus, CanOpenBus
+from adaptdrive.config.bus import WORDS, CanBus, CanOpenBus
 from adaptdrive.config.load import MotorSection
 from adaptdrive.config.polled import ModbusBus, ModbusLink, PolledBus, RtuLink
 from adaptdrive.util.errors import Flaw
+from adaptdrive.util.quantity import MEASURED
 
 LATE_READINGS = 1.5
 """Readings until one that is late has come: a stand-in tick is half a reading late."""

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field
 
 from adaptdrive.config.bus import BusSection
 from adaptdrive.config.section import FilePath, PositiveFloat, Range, Scale, Section, key
-from adaptdrive.config.services import check_host
+from adaptdrive.util.clock import check_host
 from adaptdrive.util.errors import Flaw
 
 # Keys of every device that is polled, and of one that is reached over TCP.

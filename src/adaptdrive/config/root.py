@@ -8,10 +8,10 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from adaptdrive.config import polled, references, section, services
-from adaptdrive.config.bus import MEASURED, CanBus, CanDescription, CanOpenBus, Quantity, Signals
+from adaptdrive.config.bus import CanBus, CanDescription, CanOpenBus, Quantity, Signals
 from adaptdrive.config.load import AnyLoad, Estimator, SimulatorSection, Supervisor
 from adaptdrive.util.errors import Flaw
-from adaptdrive.util.quantity import BOOST_VOLTAGE, Given
+from adaptdrive.util.quantity import BOOST_VOLTAGE, MEASURED, Given
 
 # `[drive]` and `[voltage_loop]`: the power stage and the control of its boost voltage.
 

@@ -1,45 +1,17 @@
 """`[interlocks]`, `[mqtt]`, `[recording]`, `[realtime]`: what surrounds the controller."""
 
-import contextlib
-import ipaddress
-import re
 from collections.abc import Iterator
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
 from adaptdrive.config import section
+from adaptdrive.util.clock import check_host
 from adaptdrive.util.errors import Flaw
 
 LONGEST_STALE_S = 2.0
 """A drive that is read each half cycle is then commanded 240 times on held values; one that is
 polled once a second may lose one poll."""
-
-_NAME = re.compile(r"(?=.{1,254}$)((?!-)[A-Za-z0-9_-]{1,63}(?<!-)(\.|$))+")
-"""Labels with dots between them, and at the end or not; RFC 1035 allows 253 characters."""
-
-
-def check_host(host: str) -> str:
-    """Return a host that can be looked up.
-
-    Args:
-        host: Name or address.
-
-    Raises:
-        ValueError: It is neither an IP address nor a host name.
-    """
-    with contextlib.suppress(ValueError):
-        ipaddress.ip_address(host)
-        return host
-    name = ""
-    with contextlib.suppress(UnicodeError):
-        name = host.encode("idna").decode("ascii")
-    if not _NAME.fullmatch(name):
-        raise ValueError(
-            f"{host!r} is neither an IP address nor a host name: labels of 1 to 63 letters, digits "
-            "and '-', separated by dots"
-        )
-    return host
 
 
 class InterlocksSection(section.Section):

@@ -319,3 +319,34 @@ class Decision:
         ),
     ] = math.nan
     trusted: tuple[float, ...] | None = None
+
+
+# What V_c can hold.
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Reachable range of the output; NaN for an end that is not known.
+
+    Attributes:
+        low: Output at rest at the lowest V_c.
+        high: Output at rest at the highest V_c.
+    """
+
+    low: float = math.nan
+    high: float = math.nan
+
+    @property
+    def is_known(self) -> bool:
+        """True where both ends are known."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
+    def nearest(self, value: float) -> float:
+        """Return the output within reach that is nearest; the same while the range is not known."""
+        if value > self.high:
+            return self.high
+        return max(value, self.low)
+
+
+UNKNOWN = Reach()
+"""Reach of a load of which not enough is known."""

@@ -21,6 +21,7 @@ from adaptdrive.devices.description import Item, Sink, Source
 from adaptdrive.devices.field import Field
 from adaptdrive.safety.facts import FaultWord
 from adaptdrive.util.errors import Flaw, nearest
+from adaptdrive.util.quantity import MEASURED
 
 Use = Literal["measured", "word", "state", "command", "constant", "setup"]
 """Role of a value that is received or sent; a state is the report of the bridge."""
@@ -52,7 +53,7 @@ def other_names(sources: Iterable[Source[Any]]) -> tuple[str, ...]:
     return tuple(
         one.quantity
         for one in sources
-        if one.quantity not in bus.MEASURED and not is_word(one.quantity)
+        if one.quantity not in MEASURED and not is_word(one.quantity)
     )
 
 

@@ -12,11 +12,12 @@ from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 from typing import Any, TypeVar
 
-from adaptdrive.config import Configuration, bus
+from adaptdrive.config import Configuration
 from adaptdrive.devices import description
 from adaptdrive.devices.port import Port, PortStatistics, SensorPort
 from adaptdrive.safety.timing import Timing, timing_of
 from adaptdrive.util import clock, errors
+from adaptdrive.util.quantity import MEASURED
 
 # The parts by which one kind of bus takes its place in the daemon.
 
@@ -49,7 +50,7 @@ def stale_limits(configuration: Configuration, _: Path | str) -> Iterator[Row]:
         configuration: The drive.
     """
     signals = configuration.signals
-    given = [name for name in bus.MEASURED if getattr(signals, name) is not None]
+    given = [name for name in MEASURED if getattr(signals, name) is not None]
     for name in (*given, *signals.other):
         yield f"stale {name}", configuration.interlocks.stale_s, "interlocks.stale_s"
 

@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from adaptdrive.config.bus import MEASURED
 from adaptdrive.config.root import Derived, Rule, needed_names
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import port as ports
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.trips import Trip, TripKind
+from adaptdrive.util.quantity import MEASURED
 
 
 @dataclass(slots=True)

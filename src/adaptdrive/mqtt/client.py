@@ -17,9 +17,8 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from aiomqtt import Client, Message, MqttError, ProtocolVersion
 
-from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt import commands, contract
-from adaptdrive.mqtt.connection import connection
+from adaptdrive.mqtt.connection import Broker, connection
 from adaptdrive.util.errors import NOT_JSON, PlacedError
 
 # A conversation of an operator with one drive: the connection, its errors, the payloads.
@@ -42,7 +41,9 @@ def end_of(timeout_s: float) -> float:
 
 
 @asynccontextmanager
-async def conversation(broker: Mqtt, drive: str, end_s: float = math.inf) -> AsyncIterator[Client]:
+async def conversation(
+    broker: Broker, drive: str, end_s: float = math.inf
+) -> AsyncIterator[Client]:
     """Connect to a broker until a time of the event loop; what follows has its own limits."""
     place = f"{broker.host}:{broker.port}"
     wait_s = max(_SHORTEST_S, end_s - asyncio.get_running_loop().time())
@@ -122,7 +123,7 @@ class DriveStatus:
         return self.online and not self.live
 
 
-async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus:
+async def read_status(broker: Broker, drive: str, timeout_s: float) -> DriveStatus:
     """Return the retained state of a drive, and its telemetry if some arrives in time.
 
     Args:
@@ -152,7 +153,7 @@ async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus
     return status
 
 
-async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
+async def telemetry(broker: Broker, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
     """Yield telemetry as it is published: `load` or `drive`, and the message.
 
     Raises:
@@ -168,7 +169,7 @@ async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[
                 yield name.rpartition("/")[2], content
 
 
-async def read_site(broker: Mqtt, timeout_s: float) -> dict[str, DriveStatus]:
+async def read_site(broker: Broker, timeout_s: float) -> dict[str, DriveStatus]:
     """Return what the broker holds of all drives, and their telemetry if some arrives in time.
 
     Raises:
@@ -203,7 +204,7 @@ async def _listen_to_all(
             quiet.reschedule(asyncio.get_running_loop().time() + SITE_WAIT_S)
 
 
-async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
+async def follow(broker: Broker, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
     """Ask for the history of a drive, and yield all that it publishes, by the name of its topic.
 
     Raises:
@@ -272,7 +273,7 @@ class _Timed(msgspec.Struct):
 
 
 async def send_command(
-    broker: Mqtt, drive: str, verb: str, value: object, timeout_s: float, **fields: object
+    broker: Broker, drive: str, verb: str, value: object, timeout_s: float, **fields: object
 ) -> contract.Reply:
     """Send one command and wait for the reply to it; it expires when the wait ends.
 
@@ -302,7 +303,7 @@ async def send_command(
 
 
 async def disturb(
-    broker: Mqtt, drive: str, request: dict[str, Any], timeout_s: float
+    broker: Broker, drive: str, request: dict[str, Any], timeout_s: float
 ) -> contract.DeviceReply:
     """Ask a simulated device for a disturbance and wait for its answer.
 

@@ -21,11 +21,34 @@ from aiomqtt import Client, MqttError, ProtocolVersion, Will
 from aiomqtt.exceptions import MqttConnectError
 from paho.mqtt.reasoncodes import ReasonCode
 
-from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util import clock, files, log
 from adaptdrive.util.errors import first_error
+
+# The address of a broker, and the login there.
+
+
+@dataclass(frozen=True, slots=True)
+class Broker:
+    """A broker, and who connects to it.
+
+    Attributes:
+        host: Name or address.
+        port: TCP port.
+        tls: Whether to encrypt by TLS.
+        ca_file: Certificate authority for TLS, None for those of the machine.
+        username: User name, None for none.
+        password_file: File that holds the password, None for none.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 1883
+    tls: bool = False
+    ca_file: Path | None = None
+    username: str | None = None
+    password_file: Path | None = None
+
 
 # The name of the daemon at the broker, and what happens when another client uses it too.
 
@@ -133,7 +156,7 @@ class BrokerLink:
 
     def __init__(
         self,
-        settings: Mqtt,
+        settings: Broker,
         name: ClientName,
         will: Will,
         uniform: Callable[[float, float], float],
@@ -214,7 +237,7 @@ class BrokerLink:
 
 @asynccontextmanager
 async def connection(
-    settings: Mqtt,
+    settings: Broker,
     protocol: ProtocolVersion,
     identifier: str | None = None,
     will: Will | None = None,
@@ -263,7 +286,7 @@ async def connection(
         await client.release()
 
 
-async def _find_host(settings: Mqtt, timeout_s: float) -> None:
+async def _find_host(settings: Broker, timeout_s: float) -> None:
     """Look the broker's host up, so that the thread that connects need not wait for a name server.
 
     Raises:
@@ -275,7 +298,7 @@ async def _find_host(settings: Mqtt, timeout_s: float) -> None:
         raise MqttError(str(problem)) from problem
 
 
-def _secrets(settings: Mqtt) -> tuple[str | None, ssl.SSLContext | None]:
+def _secrets(settings: Broker) -> tuple[str | None, ssl.SSLContext | None]:
     password = _read_password(settings.password_file) if settings.password_file else None
     return password, _tls(settings.ca_file) if settings.tls else None
 

@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from adaptdrive.config.bus import MEASURED
 from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.commands import STOP
 from adaptdrive.runtime import reports
 from adaptdrive.safety.trips import TripKind, remedy
-from adaptdrive.util.quantity import BOOST, Given
+from adaptdrive.util.quantity import BOOST, MEASURED, Given
 
 Range = tuple[float | None, float | None]
 """Lowest and highest value, None where there is no limit."""

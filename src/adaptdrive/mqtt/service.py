@@ -219,6 +219,12 @@ class OperatorLog:
     uniform: Callable[[float, float], float] = random.uniform
 
 
+def broker_of(settings: Mqtt) -> connection.Broker:
+    """Return the broker of a section `[mqtt]`."""
+    address = settings.host, settings.port, settings.tls, settings.ca_file
+    return connection.Broker(*address, settings.username, settings.password_file)
+
+
 class MqttService:
     """Publishes one drive on a broker and answers its operators."""
 
@@ -261,7 +267,9 @@ class MqttService:
         name, alarm = f"adaptdrive-{drive}", self._intake.report_other
         self._name = connection.ClientName(name, surroundings.monotonic, alarm, host.trip)
         will = Will(self._topics.availability, contract.OFFLINE, qos=1, retain=True)
-        self._link = connection.BrokerLink(settings, self._name, will, surroundings.uniform)
+        self._link = connection.BrokerLink(
+            broker_of(settings), self._name, will, surroundings.uniform
+        )
 
     def _build_desk(self, hub: reports.Hub) -> desk.Desk:
         around = self._around

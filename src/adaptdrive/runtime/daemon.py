@@ -7,8 +7,7 @@ import math
 from collections.abc import Awaitable, Callable
 
 from adaptdrive.control.schedule import TwoRate
-from adaptdrive.control.signals import Decision, Snapshot
-from adaptdrive.control.supervision.setpoints import Reach
+from adaptdrive.control.signals import Decision, Reach, Snapshot
 from adaptdrive.devices.port import LAST_STOP_GAP_S, LAST_STOPS, Port
 from adaptdrive.runtime import (
     accounts,

@@ -13,7 +13,7 @@ from enum import StrEnum
 from typing import Annotated, Any, Generic, TypeVar
 
 from adaptdrive.control import signals
-from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
+from adaptdrive.control.signals import UNKNOWN, Reach
 from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import escaped
 from adaptdrive.util.quantity import Quantity, columns_of

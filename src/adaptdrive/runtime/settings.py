@@ -8,8 +8,7 @@ from typing import Protocol
 from adaptdrive.config.load import LoadSection
 from adaptdrive.config.root import DriveSection
 from adaptdrive.config.services import Realtime
-from adaptdrive.control.signals import Decision, Snapshot
-from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
+from adaptdrive.control.signals import UNKNOWN, Decision, Reach, Snapshot
 from adaptdrive.runtime import reports
 from adaptdrive.safety import plausibility
 from adaptdrive.safety.interlocks import Limits

@@ -12,8 +12,7 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from adaptdrive.control.signals import KnownWaveform, Mode, Order, Stage, Waveform
-from adaptdrive.control.supervision.setpoints import Reach
+from adaptdrive.control.signals import KnownWaveform, Mode, Order, Reach, Stage, Waveform
 from adaptdrive.runtime import requests
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.settings import MachineLimits, can_hold

@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-from adaptdrive.config.bus import MEASURED
 from adaptdrive.safety.facts import Reading, fault_trip
 from adaptdrive.safety.frames import CounterWatch, FrameRate, verdict_ticks
 from adaptdrive.safety.monitor import Monitor
 from adaptdrive.safety.plausibility import Watch
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip, TripKind
-from adaptdrive.util.quantity import BOOST, Given
+from adaptdrive.util.quantity import BOOST, MEASURED, Given
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from typing import Any
 
 from rich.layout import Layout
 
-from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt import client, commands, contract
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive.tui import terminal, view
 from adaptdrive.tui.record import WatchRecord
 
@@ -27,7 +27,7 @@ Ask = Callable[[terminal.KeyCommand], Awaitable[contract.Reply | contract.Device
 
 
 async def watch(
-    broker: Mqtt,
+    broker: Broker,
     drive: str,
     timeout_s: float,
     around: view.ViewExtras = view.WATCH,
@@ -107,7 +107,7 @@ async def run_view(
     return not unanswered
 
 
-async def follow_drive(broker: Mqtt, record: WatchRecord) -> None:
+async def follow_drive(broker: Broker, record: WatchRecord) -> None:
     """Take messages, and connect again after each loss of the broker."""
     while True:
         try:
@@ -120,7 +120,7 @@ async def follow_drive(broker: Mqtt, record: WatchRecord) -> None:
         await asyncio.sleep(_RETRY_S)
 
 
-def over_mqtt(broker: Mqtt, drive: str, timeout_s: float) -> Ask:
+def over_mqtt(broker: Broker, drive: str, timeout_s: float) -> Ask:
     """Return how commands reach a drive.
 
     Args:

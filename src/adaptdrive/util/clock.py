@@ -10,7 +10,9 @@ process cannot end before they do: a call to a name server or to a broken device
 import asyncio
 import contextlib
 import ctypes
+import ipaddress
 import os
+import re
 import socket
 import struct
 import threading
@@ -225,6 +227,32 @@ def uncaught_errors_end(fail: Callable[[BaseException], None]) -> Iterator[None]
 # Looking up the addresses of a host, which takes half a minute where no name server answers.
 
 Addresses = tuple[str, ...]
+
+_NAME = re.compile(r"(?=.{1,254}$)((?!-)[A-Za-z0-9_-]{1,63}(?<!-)(\.|$))+")
+"""Labels with dots between them, and at the end or not; RFC 1035 allows 253 characters."""
+
+
+def check_host(host: str) -> str:
+    """Return a host that can be looked up.
+
+    Args:
+        host: Name or address.
+
+    Raises:
+        ValueError: It is neither an IP address nor a host name.
+    """
+    with contextlib.suppress(ValueError):
+        ipaddress.ip_address(host)
+        return host
+    name = ""
+    with contextlib.suppress(UnicodeError):
+        name = host.encode("idna").decode("ascii")
+    if not _NAME.fullmatch(name):
+        raise ValueError(
+            f"{host!r} is neither an IP address nor a host name: labels of 1 to 63 letters, digits "
+            "and '-', separated by dots"
+        )
+    return host
 
 
 def look_up(host: str, port: int) -> Future[Addresses]:

@@ -18,6 +18,9 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
 
+MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
+"""What a drive or its sensors measure, by name."""
+
 # Columns: the fields of a fast tick and of a slow step, as published, recorded and documented.
 
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.config.bus import MEASURED
 from adaptdrive.runtime.requests import Enable
+from adaptdrive.util.quantity import MEASURED
 from tests.integration.faults.course import Course
 from tests.integration.faults.judge import judge
 from tests.integration.faults.rows import QUICK, ROWS, Row

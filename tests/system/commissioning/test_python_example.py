@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.config.services import Mqtt
 from adaptdrive.lab import Drive
+from adaptdrive.mqtt import connection
 from adaptdrive.util.errors import RefusedError
 from tests.support import Broker
 from tests.unit.analysis.test_python_page import examples
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.proof
 async def test_the_example_on_a_running_drive_runs(mosquitto: Broker, tmp_path: Path) -> None:
     names: dict[str, Any] = {}
     exec(examples()[6], names)
-    broker = Mqtt(host=mosquitto.host, port=mosquitto.port)
+    broker = connection.Broker(host=mosquitto.host, port=mosquitto.port)
     async with serving(mosquitto, "motor", tmp_path) as bench, asyncio.TaskGroup() as group:
         stepping = group.create_task(names["step"](broker))
         while not stepping.done():

@@ -19,7 +19,7 @@ import pytest
 from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.client import NoAnswerError, send_command
 from adaptdrive.mqtt.contract import Profile
-from adaptdrive.mqtt.service import MqttService, OperatorLog
+from adaptdrive.mqtt.service import MqttService, OperatorLog, broker_of
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import Disable, SetSetpoint
 from tests.support import Broker, MosquittoLauncher, Process, Spawn, captured_lines, stop_process
@@ -288,7 +288,7 @@ async def test_both_ends_get_in_with_password_and_tls_and_others_stay_outside(
     async with served(guarded, host), asyncio.timeout(PATIENCE_S):
         while True:
             try:
-                reply = await send_command(guarded, "refused", "enable", None, 0.5)
+                reply = await send_command(broker_of(guarded), "refused", "enable", None, 0.5)
                 break
             except NoAnswerError:
                 await asyncio.sleep(0.05)
@@ -301,4 +301,4 @@ async def test_both_ends_get_in_with_password_and_tls_and_others_stay_outside(
         ):
             wrong = guarded.model_copy(update=change)
             with pytest.raises(NoAnswerError, match=problem):
-                await send_command(wrong, "refused", "enable", None, 6.0)
+                await send_command(broker_of(wrong), "refused", "enable", None, 6.0)

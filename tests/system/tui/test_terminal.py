@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode
+from adaptdrive.mqtt import connection
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetMode
 from adaptdrive.tui import CommandsUnderWay, over_mqtt
 from adaptdrive.tui.record import WatchRecord
@@ -44,7 +44,7 @@ async def test_nothing_that_was_asked_before_a_stop_acts_after_it(
 ) -> None:
     """An `enable` waits for telemetry to learn the clock, a `disable` does not."""
     record = WatchRecord("overtaken", time.monotonic)
-    settings = Mqtt(host=mosquitto.host, port=mosquitto.port)
+    settings = connection.Broker(host=mosquitto.host, port=mosquitto.port)
     under_way = CommandsUnderWay(over_mqtt(settings, record.drive, PATIENCE_S), record)
     async with serving(mosquitto, "overtaken", tmp_path) as bench:
         under_way.send(KeyCommand("enable"))
@@ -61,7 +61,7 @@ async def test_a_command_is_called_accepted_when_it_was_answered_and_not_before(
     mosquitto: Broker, tmp_path: Path
 ) -> None:
     record = WatchRecord("awaited", time.monotonic)
-    settings = Mqtt(host=mosquitto.host, port=mosquitto.port)
+    settings = connection.Broker(host=mosquitto.host, port=mosquitto.port)
     under_way = CommandsUnderWay(over_mqtt(settings, record.drive, PATIENCE_S), record)
     async with serving(mosquitto, "awaited", tmp_path) as bench:
         under_way.send(KeyCommand("enable"))

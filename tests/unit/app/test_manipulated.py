@@ -17,8 +17,7 @@ from adaptdrive.app.ports import build_port, bus_kind
 from adaptdrive.app.settings import daemon_settings, operator_profile, trip_limits
 from adaptdrive.cli.display import describe
 from adaptdrive.config import Configuration
-from adaptdrive.control.signals import Command
-from adaptdrive.control.supervision.setpoints import Reach
+from adaptdrive.control.signals import Command, Reach
 from adaptdrive.mqtt.client import DriveStatus
 from adaptdrive.mqtt.service import discovery
 from adaptdrive.recording.tables import table_schema

@@ -18,15 +18,15 @@ from adaptdrive.commissioning.client import HOLD_S, Guide, fast_readings
 from adaptdrive.commissioning.course import Samples, build_target
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.config.file import load_configuration
-from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.client import DriveStatus, NoAnswerError
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive.mqtt.contract import Reply
 from adaptdrive.tui.terminal import whole
 from adaptdrive.util.errors import CommissionError
 from tests.unit.commissioning.test_experiment import TARGET, lag
 from tests.unit.devices.bench import EXAMPLES
 
-BROKER = Mqtt(host="localhost", port=1883)
+BROKER = Broker(host="localhost", port=1883)
 BEGAN = datetime(2026, 11, 29, tzinfo=UTC)
 TELEMETRY_S = 0.05
 STEADY_S = 2.0

@@ -22,7 +22,7 @@ from adaptdrive.cli import main
 from adaptdrive.commissioning.evaluation import Commissioned, refusal_of
 from adaptdrive.commissioning.proposal import refuse_unwritable, with_values, write_values
 from adaptdrive.commissioning.run import alone, write
-from adaptdrive.config.services import Mqtt
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive.util.errors import CommissionError, ConfigurationError
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
@@ -48,11 +48,11 @@ def test_without_a_yes_nothing_begins(
 
 
 def test_a_second_experiment_on_a_drive_is_refused() -> None:
-    broker = Mqtt(host="bench.example")
+    broker = Broker(host="bench.example")
     with (
         alone("commissioned", broker),
         alone("another", broker),
-        alone("commissioned", Mqtt(host="elsewhere.example")),
+        alone("commissioned", Broker(host="elsewhere.example")),
         pytest.raises(CommissionError, match=rf"commissioned by process {os.getpid()}"),
         alone("commissioned", broker),
     ):

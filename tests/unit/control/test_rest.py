@@ -13,8 +13,8 @@ from adaptdrive.control.design.pole_placement import Plant
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.load import Charging, Load
+from adaptdrive.control.signals import Reach
 from adaptdrive.control.supervision.setpoints import (
-    Reach,
     distance_from_rest,
     estimated_reach,
     nominal_reach,

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from aiomqtt import Message
 
-from adaptdrive.config.services import Mqtt
 from adaptdrive.lab import Drive
 from adaptdrive.mqtt.client import NoAnswerError, follow
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive.mqtt.contract import Reply, encode
 from adaptdrive.runtime.reports import State
 from adaptdrive.util.errors import RefusedError
@@ -40,7 +40,7 @@ async def test_the_state_of_a_daemon_that_is_gone_is_no_state(
 ) -> None:
     leave_behind(broker, availability)
     with pytest.raises(NoAnswerError, match=problem):
-        await Drive("motor", Mqtt()).state()
+        await Drive("motor", Broker()).state()
 
 
 @pytest.mark.parametrize("kind", ["over-voltage", "of-a-later-version", None])
@@ -62,7 +62,7 @@ async def test_a_refusal_for_a_trip_names_its_kind(broker: MemoryBroker, kind: s
         await client.subscribe("adaptdrive/motor/command/#")
         talking = asyncio.create_task(talk())
         with pytest.raises(RefusedError) as refusal:
-            await Drive("motor", Mqtt()).reset()
+            await Drive("motor", Broker()).reset()
         talking.cancel()
     assert refusal.value.kind == (kind or "")
 
@@ -70,8 +70,8 @@ async def test_a_refusal_for_a_trip_names_its_kind(broker: MemoryBroker, kind: s
 async def test_telemetry_that_the_broker_has_kept_is_shown_nowhere(broker: MemoryBroker) -> None:
     leave_behind(broker, "online")
     async with (
-        aclosing(Drive("motor", Mqtt()).telemetry()) as messages,
-        aclosing(follow(Mqtt(), "motor")) as live,
+        aclosing(Drive("motor", Broker()).telemetry()) as messages,
+        aclosing(follow(Broker(), "motor")) as live,
     ):
         reading = asyncio.ensure_future(anext(messages))
         waiting = asyncio.create_task(_first_drive(live))

@@ -12,7 +12,7 @@ import pytest
 from aiomqtt import Will
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt.connection import BrokerLink, ClientName
+from adaptdrive.mqtt.connection import Broker, BrokerLink, ClientName
 from adaptdrive.mqtt.contract import Profile
 from adaptdrive.mqtt.service import MqttService, OperatorLog
 from adaptdrive.runtime.reports import Event, Severity, State
@@ -279,7 +279,7 @@ def states(*hosts: RememberingHost) -> list[State]:
 
 def test_waiting_doubles_up_to_a_limit_and_starts_anew_after_a_good_connection() -> None:
     name = ClientName("adaptdrive-motor", lambda: 0.0, lambda _: None, lambda _: None)
-    link = BrokerLink(Mqtt(), name, Will("x"), lambda _, high: high)
+    link = BrokerLink(Broker(), name, Will("x"), lambda _, high: high)
     assert [link.pause_s(0.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
     assert link.pause_s(3.0) == 30.0  # a broker that hangs up at once is no good connection
     assert link.pause_s(60.0) == 0.5

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from aiomqtt import Message
 
-from adaptdrive.config.services import Mqtt
 from adaptdrive.mqtt.client import (
     NoAnswerError,
     _Timed,
@@ -23,6 +22,7 @@ from adaptdrive.mqtt.client import (
     read_status,
     send_command,
 )
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive.mqtt.contract import DISTURB, REPLY, simulator_topic
 from tests.unit.mqtt.memory_broker import MemoryBroker, MemoryClient
 
@@ -84,7 +84,7 @@ async def drive(
 async def send(verb: str, value: object = None, **fields: object) -> None:
     """Send a command to a drive that answers nothing."""
     with pytest.raises(NoAnswerError, match=r"no answer through 127\.0\.0\.1:1883; see `adap"):
-        await send_command(Mqtt(host="127.0.0.1"), "motor", verb, value, TIMEOUT_S, **fields)
+        await send_command(Broker(host="127.0.0.1"), "motor", verb, value, TIMEOUT_S, **fields)
 
 
 @pytest.mark.parametrize("ahead_s", [0.0, -1.8e9, -3600.0, 3600.0, 3.0e9 - 1e6])
@@ -136,7 +136,7 @@ async def test_telemetry_of_an_earlier_time_says_nothing_of_a_clock(broker: Memo
     old = json.dumps({"time": (START - timedelta(days=9)).isoformat()}).encode()
     broker.publish("adaptdrive/motor/telemetry/drive", old, retain=True)
     async with drive(broker, None, answers=True) as heard:
-        reply = await send_command(Mqtt(), "motor", "enable", None, TIMEOUT_S)
+        reply = await send_command(Broker(), "motor", "enable", None, TIMEOUT_S)
     assert (reply.verb, reply.accepted) == ("enable", True)
     assert [verb for verb, _ in heard] == ["ping", "enable"]
 
@@ -152,12 +152,12 @@ async def test_the_answer_of_a_device_is_its_own(broker: MemoryBroker) -> None:
     client.receive = answer
     async with client:
         await client.subscribe(simulator_topic("motor", DISTURB))
-        assert (await disturb(Mqtt(), "motor", {"kind": "load"}, TIMEOUT_S)).accepted
+        assert (await disturb(Broker(), "motor", {"kind": "load"}, TIMEOUT_S)).accepted
 
 
 async def test_a_time_out_bounds_the_connection_too(broker: MemoryBroker) -> None:
     broker.hangs = True
-    place, began_s = Mqtt(host="127.0.0.1"), asyncio.get_running_loop().time()
+    place, began_s = Broker(host="127.0.0.1"), asyncio.get_running_loop().time()
     for wait in (
         send_command(place, "mute", "disable", None, 0.2),
         read_status(place, "mute", 0.2),
@@ -173,4 +173,4 @@ async def test_a_time_out_bounds_the_connection_too(broker: MemoryBroker) -> Non
 async def test_a_broker_that_ends_the_connection_is_named(broker: MemoryBroker) -> None:
     broker.away = True
     with pytest.raises(NoAnswerError, match=r"broker 127\.0\.0\.1:1883: connection refused"):
-        await send_command(Mqtt(host="127.0.0.1"), "motor", "enable", None, TIMEOUT_S)
+        await send_command(Broker(host="127.0.0.1"), "motor", "enable", None, TIMEOUT_S)

@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 
 from adaptdrive.config.root import DriveLimits, Manipulated
-from adaptdrive.control.signals import Mode, Shape, Stage, Waveform
-from adaptdrive.control.supervision.setpoints import UNKNOWN, Reach
+from adaptdrive.control.signals import UNKNOWN, Mode, Reach, Shape, Stage, Waveform
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     Disable,

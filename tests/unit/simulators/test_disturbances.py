@@ -10,7 +10,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from adaptdrive.config import load_configuration
-from adaptdrive.config.services import Mqtt
+from adaptdrive.mqtt.connection import Broker
 from adaptdrive_sim.device import build_sensors
 from adaptdrive_sim.devices.disturbances import Remote, from_words, parse_request
 from adaptdrive_sim.devices.drive import SimulatedDrive
@@ -41,7 +41,7 @@ def ask(remote: Remote, **request: Any) -> tuple[bool, str]:
 
 
 def of(load: SimulatedLoad) -> Remote:
-    return Remote(Mqtt(host="localhost", port=1), "bench", SimulatedDrive(World(load), ignore))
+    return Remote(Broker(host="localhost", port=1), "bench", SimulatedDrive(World(load), ignore))
 
 
 @pytest.mark.parametrize(

@@ -28,11 +28,10 @@ the fixed controller has taken over for good. It never lasts longer than five ex
 """
 
 import math
-from dataclasses import dataclass
 
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.settings import PowerStage, Probing
-from adaptdrive.control.signals import SlowSample
+from adaptdrive.control.signals import UNKNOWN, Reach, SlowSample
 from adaptdrive.control.supervision import monitor, supervisor
 from adaptdrive.control.supervision.state import ProbeState, SlowState
 from adaptdrive.control.thresholds import FEWEST
@@ -69,34 +68,6 @@ def _distance(load: Load, gain: float, held: float, offset: float, output: float
 
 
 # The outputs that V_c can hold: where a model rests at the lowest and at the highest V_c.
-
-
-@dataclass(frozen=True, slots=True)
-class Reach:
-    """Reachable range of the output; NaN for an end that is not known.
-
-    Attributes:
-        low: Output at rest at the lowest V_c.
-        high: Output at rest at the highest V_c.
-    """
-
-    low: float = math.nan
-    high: float = math.nan
-
-    @property
-    def is_known(self) -> bool:
-        """True where both ends are known."""
-        return math.isfinite(self.low) and math.isfinite(self.high)
-
-    def nearest(self, value: float) -> float:
-        """Return the output within reach that is nearest; the same while the range is not known."""
-        if value > self.high:
-            return self.high
-        return max(value, self.low)
-
-
-UNKNOWN = Reach()
-"""Reach of a load of which not enough is known."""
 
 
 def nominal_reach(load: Load, stage: PowerStage) -> Reach:
