@@ -7,7 +7,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -317,6 +317,7 @@ class Contact:
         return Broker(host, port, tls, ca_file, self.username, self.password_file)
 
 
+_MQTT_KEYS = "host", "port", "tls", "ca_file"
 _BROKER = "127.0.0.1", _PORT, False, None
 
 
@@ -330,14 +331,13 @@ def _broker_in(path: Path) -> tuple[str, int, bool, Path | None]:
     """
     from adaptdrive.util.files import read_regular  # noqa: PLC0415 - few commands need it
 
-    try:
+    with suppress(OSError, ValueError, TypeError, AttributeError):
         table = tomllib.loads(read_regular(path).decode("utf-8-sig")).get("mqtt", {})
-        host, port = table.get("host", _BROKER[0]), table.get("port", _PORT)
+        host, port, tls, ca_file = map(table.get, _MQTT_KEYS, _BROKER)
         read_address(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")
-        ca_file = table.get("ca_file")
-        return host, port, table.get("tls", False) is True, ca_file and path.parent / ca_file
-    except (OSError, ValueError, TypeError, AttributeError):
-        from adaptdrive.config.file import load_configuration  # noqa: PLC0415 - as above
+        if (type(port), type(tls)) == (int, bool):
+            return host, port, tls, ca_file and path.parent / ca_file
+    from adaptdrive.config.file import load_configuration  # noqa: PLC0415 - few commands need it
 
-        known = load_configuration(path).mqtt  # raises what is wrong, with its place
-        return known.host, known.port, known.tls, known.ca_file
+    known = load_configuration(path).mqtt  # raises what is wrong, with its place
+    return known.host, known.port, known.tls, known.ca_file

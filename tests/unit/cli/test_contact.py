@@ -46,3 +46,30 @@ def test_the_usual_broker(contact: Contact, place: tuple[str, int, bool]) -> Non
 def test_an_unusable_configuration_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="motor"):
         _ = Contact(config=tmp_path / "motor.toml").settings
+
+
+def test_a_flaw_in_another_section_does_not_keep_a_stop_from_its_broker(tmp_path: Path) -> None:
+    path = tmp_path / "motor.toml"
+    path.write_text('[mqtt]\nhost = "::1"\nport = 1999\n[drive]\nname = 7\n[nonsense]\n')
+    found = Contact(config=path).settings
+    assert (found.host, found.port, found.tls, found.ca_file) == ("::1", 1999, False, None)
+
+
+@pytest.mark.parametrize(
+    ("line", "place"),
+    [
+        ("port = 0", "mqtt.port"),
+        ("port = '1883'", "mqtt.port"),
+        ("tls = 'no'", "mqtt.tls"),
+        ("host = 'a b'", "mqtt.host"),
+        ("host = 7", "mqtt.host"),
+        ("ca_file = 7", "mqtt.ca_file"),
+    ],
+)
+def test_a_broker_that_cannot_be_used_is_named_with_its_place(
+    tmp_path: Path, line: str, place: str
+) -> None:
+    path = tmp_path / "motor.toml"
+    path.write_text(f"[mqtt]\n{line}\n")
+    with pytest.raises(ConfigurationError, match=place):
+        _ = Contact(config=path).settings
