@@ -91,10 +91,10 @@ RUNTIME: dict[str, str] = {
     f"{_COUNTER}_judge: if self._passed(stray, count) >= sure_ticks: -> "
     "if self._passed(stray, count) > sure_ticks:": _TIME_BOUND,
     f"{_MONITOR}_is_overdue: return False -> return None": _FALSE,
-    f"{_MONITOR}_note_passed: if unwatched_s > self._timing.asleep_s: -> "
-    "if unwatched_s >= self._timing.asleep_s:": _TIME_BOUND,
-    f"{_MONITOR}_is_overdue: return self._off_s - self._first_off_s > self._timing.switched_on_s "
-    "+ _SLACK_S -> return self._off_s - self._first_off_s >= self._timing.switched_on_s "
+    f"{_MONITOR}_note_passed: if unwatched_s > self._asleep_s: -> "
+    "if unwatched_s >= self._asleep_s:": _TIME_BOUND,
+    f"{_MONITOR}_is_overdue: return self._off_s - self._first_off_s > self._switched_on_s "
+    "+ _SLACK_S -> return self._off_s - self._first_off_s >= self._switched_on_s "
     "+ _SLACK_S": _SLACK,
     "runtime.reports:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 1000000001.0": _BEYOND,
     "runtime.reports:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 2000000000.0": _BEYOND,

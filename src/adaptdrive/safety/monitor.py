@@ -109,11 +109,14 @@ class Monitor:
                 been, and what a lost bus has carried is known.
         """
         self._acknowledges = acknowledges
-        self._timing = timing
         self._clock = clock
+        # the limits, which do not change, are computed once
+        self._reading_s, self._switched_on_s = timing.reading_s, timing.switched_on_s
+        self._asleep_s, self._unseen_s = timing.asleep_s, timing.unseen_s
+        self._silent_s, self._unreported_s = timing.silent_s, timing.unreported_s(cycle_s)
         self._hidden_s = timing.hidden_s(cycle_s)
-        self._unreported_s = timing.unreported_s(cycle_s)
         self._obeyed_s = timing.obeyed_s(max(cycle_s, timing.reading_s))
+        self._taken_s = timing.taken_s
         self.slack_s, self.cycle_s = slack_s, cycle_s
         self.powered = self.given = False
         self.safe_s = self._offered_s = math.inf
@@ -232,7 +235,7 @@ class Monitor:
         if why is not None:
             hidden = f"; {why.text.format(self._doubts[why][1] * 1e3)}"
         else:
-            waited_ms = self._timing.switched_on_s * 1e3
+            waited_ms = self._switched_on_s * 1e3
             hidden = "" if self._been_on else f"; it has not come on within {waited_ms:.0f} ms"
         text = f"drive stopped: its bridge is off although it was commanded on{hidden}"
         return Trip(TripKind.DRIVE_STOPPED, text)
@@ -243,7 +246,7 @@ class Monitor:
         offered_s = self._clock() - self._offered_s
         still_on_s = offered_s - self._obeyed_s if self.powered else -math.inf
         untaken = self._acknowledges and self.safe_s == math.inf
-        untaken_s = offered_s - self._timing.taken_s if untaken else -math.inf
+        untaken_s = offered_s - self._taken_s if untaken else -math.inf
         return max(still_on_s, untaken_s)
 
     @property
@@ -286,7 +289,7 @@ class Monitor:
         Args:
             unwatched_s: Time since the last look.
         """
-        unseen = self._been_on and unwatched_s > self._timing.unseen_s and self.slack_s is not None
+        unseen = self._been_on and unwatched_s > self._unseen_s and self.slack_s is not None
         return self._awaits_report or unseen
 
     def hides_stop(self, unwatched_s: float) -> bool:
@@ -317,24 +320,24 @@ class Monitor:
 
     def _note_passed(self, now_s: float, unwatched_s: float, heard_s: float) -> None:
         """Note a time in which nobody looked, or in which nothing came."""
-        if unwatched_s > self._timing.asleep_s:
+        if unwatched_s > self._asleep_s:
             self.doubt(Doubt.ASLEEP, now_s, unwatched_s)
         if self._is_silent(now_s):
             self.doubt(_SILENT, now_s, now_s - self._came_s)
-        elif now_s - heard_s > self._timing.silent_s:
+        elif now_s - heard_s > self._silent_s:
             self.doubt(_SILENT, now_s, now_s - heard_s)
 
     def _note_on(self, asked_s: float) -> None:
         """Note a bridge that is on, by this command unless it still is by the one before."""
-        switched = asked_s - self._commanded_s > self._timing.switched_on_s
+        switched = asked_s - self._commanded_s > self._switched_on_s
         self._come = self._come or switched or not self._lingers
         self._been_on = True
 
     def _note_off(self, asked_s: float) -> None:
         """Note a bridge that is off: of one that has been on it is a stop, or a bounce."""
         self._lingers = False
-        switches = asked_s - self._commanded_s <= self._timing.switched_on_s
-        again = asked_s - self._bounced_s > 0.5 * self._timing.reading_s  # not of the same reading
+        switches = asked_s - self._commanded_s <= self._switched_on_s
+        again = asked_s - self._bounced_s > 0.5 * self._reading_s  # not of the same reading
         if self._come and switches and not (again or self._doubts):
             self._bounced_s = min(self._bounced_s, asked_s)
         elif self._come or (self._been_on and self._doubts):
@@ -353,6 +356,6 @@ class Monitor:
         """Return whether a bridge that has not come on yet has had the time to."""
         if math.inf in {self._due_s, self._off_s}:
             return False
-        begin_s = max(self._off_s, self._due_s) - self._timing.reading_s
+        begin_s = max(self._off_s, self._due_s) - self._reading_s
         self._first_off_s = min(self._first_off_s, begin_s)
-        return self._off_s - self._first_off_s > self._timing.switched_on_s + _SLACK_S
+        return self._off_s - self._first_off_s > self._switched_on_s + _SLACK_S
