@@ -11,26 +11,11 @@ from tools.pages.marked import with_part
 
 MARKS = "<!-- trips: written by `make docs` -->\n", "<!-- end of trips -->\n"
 
-LONGEST = 10
-"""Words of a trip that the table shows, from its beginning."""
-
-_AGE = "measurement is 54 ms old, limit 50 ms; "
-_OLDEST = "output (0x101 (DriveLoad), Tachometer) is the oldest value, 54 ms old: "
-
-
-def shown(example: str) -> str:
-    """Return the beginning of a trip, without what all that are stale have in common."""
-    words = example.replace(_AGE + _OLDEST, "…: ").replace(f"{_AGE}the", "…; the").split()
-    return " ".join(words if len(words) <= LONGEST else [*words[:LONGEST], "…"])
-
 
 def table() -> str:
     """Return the table as Markdown."""
-    rows = [
-        f"| `{kind}` | `{shown(one.example)}` | {one.cause} | {one.remedy} |"
-        for kind, one in ADVICES.items()
-    ]
-    return "\n".join(["| kind | text | cause | remedy |", "|---|---|---|---|", *rows, ""])
+    rows = [f"| `{kind}` | {one.cause} | {one.remedy} |" for kind, one in ADVICES.items()]
+    return "\n".join(["| kind | cause | remedy |", "|---|---|---|", *rows, ""])
 
 
 def with_table(page: str) -> str:
