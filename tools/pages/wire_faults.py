@@ -36,10 +36,9 @@ def _cell(name: str, cell: Cell | str, measured: Mapping[str, Mapping[str, float
     shown += ["event `bus`"] if cell.words else []
     if not cell.trips:
         return "; ".join([*(shown or ["`held`"]), "continues"])
-    told = "safe" if cell.hears else "trip"
     shown += [] if cell.cause == "stale" else [f"trip `{cell.cause}`"]
-    times_told = f"{told} {_ms(times, 'reaction_ms')}, back {_ms(times, 'back_ms')} ms"
-    return "; ".join([*shown, times_told])
+    told = f"{_ms(times, 'reaction_ms')}/{_ms(times, 'back_ms')}"
+    return "; ".join([*shown, told if cell.hears else f"trip {told}"])
 
 
 def _ms(times: Mapping[str, float], name: str) -> str:
@@ -48,7 +47,7 @@ def _ms(times: Mapping[str, float], name: str) -> str:
 
 def without_times(text: str) -> str:
     """A table without its measured times."""
-    return re.sub(r"(safe|trip|back) (\d+|\?)", r"\1 …", text)
+    return re.sub(r"(\d+|\?)/(\d+|\?)", "…", text)
 
 
 def section(page: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 LOADS = ("motor, CAN", "motor, Modbus", "bath, Modbus", "battery, CAN")
 FAULTS = "| fault | motor, CAN | motor, Modbus | bath, Modbus | battery, CAN | highest / limit |"
@@ -17,20 +18,53 @@ def cells_of(text: str) -> Iterator[list[str]]:
 
 
 def fault_matrix(texts: Iterable[str]) -> str:
-    """Return one row for each fault, with a cell for each load, from the tables of all groups."""
+    """Return a row for each fault, with a cell for each load, from the tables of all groups.
+
+    Faults of a group that every load rides through share one row.
+    """
     found: dict[tuple[str, str], dict[str, list[str]]] = {}
     for text in texts:
         for group, fault, load, *rest in cells_of(text):
             found.setdefault((group, fault), {})[load] = rest
-    rows = [_fault(*names, loads) for names, loads in found.items()]
-    return "\n".join([FAULTS, "|---|---|---|---|---|---|", *rows])
+    rows: dict[tuple[str, ...], list[_Row]] = {}
+    for (group, fault), loads in found.items():
+        row = _row(fault, loads)
+        alike = () if set(row.cells) <= {"holds", ""} and not row.flaws else (fault,)
+        rows.setdefault((group, *row.cells, *alike), []).append(row)
+    shown = (_shown(key[0], alike) for key, alike in rows.items())
+    return "\n".join([FAULTS, "|---|---|---|---|---|---|", *shown])
 
 
-def _fault(group: str, fault: str, loads: dict[str, list[str]]) -> str:
-    cells = [_reaction(*loads[load][:3]) if load in loads else "" for load in LOADS]
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """What was found of a fault.
+
+    Attributes:
+        fault: Its name.
+        cells: Reaction for each of LOADS.
+        highest: Highest true output over its limit.
+        flaws: What broke a rule.
+    """
+
+    fault: str
+    cells: tuple[str, ...]
+    highest: str
+    flaws: str
+
+
+def _row(fault: str, loads: dict[str, list[str]]) -> _Row:
+    cells = tuple(_reaction(*loads[load][:3]) if load in loads else "" for load in LOADS)
     highest = max(rest[3] for rest in loads.values())
     flaws = "; ".join(dict.fromkeys(rest[4] for rest in loads.values() if rest[4]))
-    return f"| {group}: {fault} | {' | '.join(cells)} | {highest}{flaws and f'; {flaws}'} |"
+    return _Row(fault, cells, highest, flaws)
+
+
+def _shown(group: str, alike: Sequence[_Row]) -> str:
+    """A row for faults that are alike: more than one only where each load holds them."""
+    names, flaws = "; ".join(one.fault for one in alike), alike[0].flaws
+    highest = max(one.highest for one in alike)
+    cells = " | ".join(alike[0].cells)
+    return f"| {group}: {names} | {cells} | {highest}{flaws and f'; {flaws}'} |"
 
 
 def _reaction(must: str, tripped: str, reaction: str) -> str:
