@@ -130,8 +130,8 @@ def texts(result: Result) -> dict[str, str]:
     note = f"\n\nSeeds {result['first_seed']} to {last}, {result['date']}."
     shown = {}
     for kind, cases in KINDS.items():
-        both = f"{rms_table(result, cases)}\n\n{other_table(result, cases)}"
-        shown[f"compared-{kind}"] = both + note
+        other = f"\n\n{other_table(result, cases)}" if kind == "motors" else ""
+        shown[f"compared-{kind}"] = f"{rms_table(result, cases)}{other}{note}"
     chosen = tuple(CASES[name] for name in SHOWN)
     return shown | {"compared": rms_table(result, chosen) + note}
 
