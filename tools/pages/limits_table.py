@@ -25,10 +25,10 @@ BUSES = {"can": "CAN", "canopen": "CANopen", "polled": "Modbus, SCPI"}
 DRIVES = ("motor", "motor-modbus-tcp", "motor-cia402")
 
 
-def limits() -> dict[str, property]:
-    """Return the limits of `Timing`, by name, in their order."""
+def limits() -> list[str]:
+    """Return the names of the limits of `Timing`, in their order."""
     members = vars(Timing).items()
-    return {name: one for name, one in members if isinstance(one, property) and name[0] != "_"}
+    return [name for name, one in members if isinstance(one, property) and name[0] != "_"]
 
 
 def _shown(seconds: float) -> str:
@@ -78,14 +78,13 @@ def fold() -> str:
 
 
 def table() -> str:
-    """Return the table as Markdown: each limit, its meaning, and its value for three drives."""
+    """Return the table as Markdown: each limit, and its value for three drives."""
     drives = [timing_of(load_configuration(EXAMPLES / f"{name}.toml")) for name in DRIVES]
-    heads = ["limit", "meaning", *(f"`{name}.toml`" for name in DRIVES)]
+    heads = ["limit", *(f"`{name}.toml`" for name in DRIVES)]
     lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
-    for name, limit in limits().items():
-        meaning = _first_line(limit).rstrip(".")
+    for name in limits():
         values = (_shown(getattr(timing, name)) for timing in drives)
-        lines.append(f"| `{name}` | {meaning} | {' | '.join(values)} |")
+        lines.append(f"| `{name}` | {' | '.join(values)} |")
     return "\n".join([*lines, ""])
 
 

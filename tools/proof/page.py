@@ -6,23 +6,22 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from tests.integration.faults.rows import GROUPS
 from tools.pages.marked import with_part
 from tools.proof.forms import Form, forms
 from tools.proof.results import RESULTS, Result, load
-from tools.proof.summaries import counted, fault_matrix, table
+from tools.proof.summaries import counted, fault_matrix, table, tried, without_still
 
 MARKS = "<!-- faults: written by `make docs` -->\n", "<!-- end of faults -->\n"
 INTRODUCTION = """# Proof
 
 Results of the long tests, for readers who check a claim. `make proof` runs the *forms* that have no
 result of the present commit; `python -m tools.proof docs/proof/proof.md FORM` repeats one.
-`tools/proof/results` holds machine, processor time and the whole output of each run,
-[tests/README.md](../../tests/README.md#a-proof) describes the forms and their lengths. The
-faults in virtual time are in [reliability](reliability.md#faults-in-virtual-time).
+`tools/proof/results` holds the whole output of each run. The faults in virtual time are in
+[reliability](reliability.md#faults-in-virtual-time).
 """
 MUTANTS_TEXT = """## Small changes of the code
 
@@ -35,6 +34,13 @@ BRANCHES_TEXT = """## Lines and branches
 """
 MUTANTS = ("name", "changes", "tried", "noticed", "explained", "survived", "run")
 BRANCHES = ("name", "lines", "not run", "branches", "not taken", "run")
+
+BRIEF: dict[str, Callable[[str], str]] = {
+    "inputs": tried,
+    "soak-virtual": without_still,
+    "soak-real": without_still,
+}
+"""How the page shortens the output of a form."""
 
 Run = tuple[Form, Result | None]
 
@@ -65,18 +71,23 @@ def _row(run: Run) -> str:
 
 
 def _section(form: Form, result: Result | None) -> str:
-    text = "" if result is None else result.text
-    body = text if form.as_table else f"```\n{text}\n```"
+    text = "" if result is None else BRIEF.get(form.name, str)(result.text)
+    body = text if form.as_table or form.name in BRIEF else f"```\n{text}\n```"
     return f"## {form.title}\n\n{body}\n"
 
 
 def _counts(ran: Sequence[Run], kind: str, columns: int) -> Iterator[str]:
-    """Yield a row of sums for each form of a kind."""
+    """Yield a row of sums for each form of a kind, then a line with those that have not run."""
+    missing = []
     for form, result in ran:
         if form.name.startswith(f"{kind}-"):
-            text = "" if result is None else result.text
             name = form.title.rpartition(": ")[2].removeprefix("adaptdrive.")
-            yield f"{counted(name, text, columns)} {_verdict(result)} |"
+            if result is None:
+                missing.append(name)
+            else:
+                yield f"{counted(name, result.text, columns)} {_verdict(result)} |"
+    if missing:
+        yield f"\nNot run: {', '.join(missing)}."
 
 
 def with_faults(text: str, folder: Path = RESULTS) -> str:

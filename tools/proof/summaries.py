@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 LOADS = ("motor, CAN", "motor, Modbus", "bath, Modbus", "battery, CAN")
+PASSED = re.compile(r"([a-z-]+): (\d+) inputs, random damage, .* s: passed")
 FAULTS = "| fault | motor, CAN | motor, Modbus | bath, Modbus | battery, CAN | highest / limit |"
 
 
@@ -77,6 +79,26 @@ def _reaction(must: str, tripped: str, reaction: str) -> str:
         limit = must.removeprefix("trip in ").removesuffix(" s")
         return f"{times}/{limit}" if count == runs else f"FAILED: {times}/{limit}, {tripped}"
     return f"{times}, {tripped}" if times else tripped
+
+
+def without_still(text: str) -> str:
+    """Return a text with one row for all figures of its table that are flat and did not grow."""
+    still: dict[str, list[str]] = {}
+    lines = text.splitlines()
+    for line in tuple(lines):
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if line.startswith("| ") and cells[5].startswith("+0 (") and cells[-1] == "flat":
+            still.setdefault(cells[0], []).append(cells[1].partition(",")[0])
+            lines.remove(line)
+    named = "; ".join(f"{process} {', '.join(figures)}" for process, figures in still.items())
+    return "\n".join([*lines, "", f"Flat, and no larger at the end: {named}."]) if still else text
+
+
+def tried(text: str) -> str:
+    """Return the lines of the fuzzer as one; as they are where one has not passed."""
+    found = [PASSED.fullmatch(line) for line in text.splitlines()]
+    names = [f"{one[1]} {int(one[2]):,}" for one in found if one]
+    return f"Passed, random damage: {', '.join(names)}." if len(names) == len(found) else text
 
 
 def totals(text: str, columns: int) -> list[str]:
