@@ -15,7 +15,6 @@ from packaging.utils import canonicalize_name
 
 PACKED = frozenset({"canopen"})
 OPTIONAL = frozenset({"sim", "cluster", "identify", "analysis", "export"})
-DEVELOPMENT = frozenset({"dev"})
 
 _HEAD = """# Licences
 
@@ -29,7 +28,6 @@ version can replace it.
 _SECTIONS = (
     ("In the Debian package", PACKED),
     ("For simulation and clusters", OPTIONAL),
-    ("For development only", DEVELOPMENT),
 )
 _CLASSIFIER = "License :: OSI Approved :: "
 

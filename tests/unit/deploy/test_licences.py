@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.pages.licences import DEVELOPMENT, OPTIONAL, PACKED, closure, licence, page
+from tools.pages.licences import OPTIONAL, PACKED, closure, licence, page
 
 PAGE = Path(__file__).parents[3] / "docs" / "licences.md"
 
@@ -15,7 +15,7 @@ def test_the_page_is_as_the_installed_libraries_say() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(), "run `make docs`"
 
 
-@pytest.mark.parametrize("extras", [PACKED, OPTIONAL, DEVELOPMENT])
+@pytest.mark.parametrize("extras", [PACKED, OPTIONAL])
 def test_each_library_names_its_licence(extras: frozenset[str]) -> None:
     assert all(licence(name) for name in closure("adaptdrive", extras))
 
