@@ -120,7 +120,7 @@ DISTURBED = ("G", "H", "J", "K", "bath G", "battery N")
 """Cases whose largest deviation is shown in place of the overshoot."""
 
 KINDS = {"motors": MOTORS, "baths": BATHS, "batteries": BATTERIES}
-SHOWN = ("A", "B", "D", "F", "H", "L")
+SHOWN = ("A", "B", "F", "H")
 """Cases in the README."""
 
 
