@@ -1,18 +1,16 @@
-"""The tables in `docs/proof/obedience.md`: the fold, from `Monitor`, and its limits, from `Timing`.
+"""The tables in `docs/proof/obedience.md`: doubts and verdicts, and the limits of `Timing`.
 
 `python -m tools.pages.limits_table docs/proof/obedience.md` writes them; a test keeps them current.
 """
 
 from __future__ import annotations
 
-import inspect
 import math
-import re
 import sys
 from pathlib import Path
 
 from adaptdrive.config import load_configuration
-from adaptdrive.safety.monitor import Doubt, Monitor, Verdict
+from adaptdrive.safety.monitor import Doubt, Verdict
 from adaptdrive.safety.timing import Timing, timing_of
 from tools.pages.marked import with_part
 
@@ -20,8 +18,6 @@ MARKS = "<!-- limits: written by `make docs` -->\n", "<!-- end of limits -->\n"
 FOLD_MARKS = "<!-- fold: written by `make docs` -->\n", "<!-- end of fold -->\n"
 CHECKOUT = Path(__file__).parents[2]
 EXAMPLES = CHECKOUT / "deploy" / "examples"
-DEVICES = CHECKOUT / "src" / "adaptdrive" / "devices"
-BUSES = {"can": "CAN", "canopen": "CANopen", "polled": "Modbus, SCPI"}
 DRIVES = ("motor", "motor-modbus-tcp", "motor-cia402")
 
 
@@ -35,39 +31,9 @@ def _shown(seconds: float) -> str:
     return "none" if math.isinf(seconds) else f"{seconds * 1e3:.4g} ms"
 
 
-def _first_line(documented: object) -> str:
-    return (inspect.getdoc(documented) or "").partition("\n")[0]
-
-
-def facts() -> dict[str, str]:
-    """Return what `Monitor` takes as a fact, by the name of its method, in their order."""
-    methods = {name: _first_line(one) for name, one in vars(Monitor).items() if name[0] != "_"}
-    return {name: line for name, line in methods.items() if line.startswith("Note ")}
-
-
-def _reporters(fact: str) -> str:
-    """Return the buses whose ports report a fact, or the fast loop."""
-    call = re.compile(rf"monitor\.{fact}\(")
-    found = [
-        name
-        for folder, name in BUSES.items()
-        if any(call.search(one.read_text(encoding="utf-8")) for one in (DEVICES / folder).iterdir()
-               if one.suffix == ".py")
-    ]  # fmt: skip
-    return ", ".join(found) if found else "fast loop"
-
-
 def fold() -> str:
-    """Return the fold as Markdown: facts and who reports them, doubts, and verdicts."""
-    lines = ["| fact | | reported by |", "|---|---|---|"]
-    for name, meaning in facts().items():
-        text = meaning.removeprefix("Note ").rstrip(".")
-        lines.append(f"| `{name}` | {text} | {_reporters(name)} |")
-    lines += [
-        "",
-        "| doubt | fact | a trip says | ends with a report that was |",
-        "|---|---|---|---|",
-    ]
+    """Return the fold as Markdown: doubts, and verdicts."""
+    lines = ["| doubt | fact | a trip says | ends with a report that was |", "|---|---|---|---|"]
     for doubt in Doubt:
         shown = doubt.text.replace("{:.0f}", "…")
         ends = f"{doubt.ends} after it"
