@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -42,6 +43,9 @@ BRIEF: dict[str, Callable[[str], str]] = {
 }
 """How the page shortens the output of a form."""
 
+COMMON = re.compile(r"python -m (pytest -q )?| --(timeout|numprocesses|dist) \w+")
+"""What the page leaves out of a command: how any module or test is run."""
+
 Run = tuple[Form, Result | None]
 
 
@@ -49,7 +53,7 @@ def page(folder: Path = RESULTS) -> str:
     """Return the page as Markdown."""
     ran = [(form, load(form.name, folder)) for form in forms()]
     single = [run for run in ran if not run[0].name.startswith(("mutants-", "branches-"))]
-    runs = table(("form", "command", "run"), (_row(run) for run in single))
+    runs = table(("form", "module or tests", "run"), (_row(run) for run in single))
     outputs = [_section(*run) for run in single if run[0].is_shown]
     mutants = table(MUTANTS, _counts(ran, "mutants", 5))
     branches = table(BRANCHES, _counts(ran, "branches", 4))
@@ -67,7 +71,7 @@ def _verdict(result: Result | None) -> str:
 def _row(run: Run) -> str:
     form, result = run
     command = form.shown_command if result is None else result.command
-    return f"| {form.name} | `{command}` | {_verdict(result)} |"
+    return f"| {form.name} | `{COMMON.sub('', command)}` | {_verdict(result)} |"
 
 
 def _section(form: Form, result: Result | None) -> str:
