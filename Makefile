@@ -64,7 +64,7 @@ soak: $(installed) ## let a drive live for DAYS=7 of virtual time and MINUTES=12
 tables: $(installed) ## run the paper's motor experiment with 20 seeds, and write the tables of docs/proof/control.md
 	nice $(bin)/python -m tools.benchmarks.paper_tables $(SEED)
 
-rivals: $(installed) ## compare with other controllers, and write the tables of README and docs/proof/compared.md
+rivals: $(installed) ## compare with other controllers, and write the tables of docs/proof/compared.md
 	nice $(bin)/python -m tools.benchmarks.rivals.results
 
 docs: $(installed) ## write the pages that are made from the code

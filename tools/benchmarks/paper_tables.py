@@ -87,26 +87,16 @@ def spread(values: list[float], form: str) -> str:
     return f"{form.format(statistics.median(values))} ({form.format(max(values))})"
 
 
-def model_errors(first: int) -> str:
-    """Model error of every controller in the last cycle, as fractions of the step."""
-    rows = [[name, *(_error(name, noise, first) for noise in NOISES)] for name in CONTROLLERS]
+def three_disks(first: int) -> str:
+    """Model error, as a fraction of the step, and overshoot in percent, in the last cycle."""
+    rows = [[name, *(_last(name, noise, first) for noise in NOISES)] for name in CONTROLLERS]
     return table(["noise", *NOISES], rows)
 
 
-def _error(controller: str, noise: str, first: int) -> str:
-    found = runs(controller, noise, first)
-    return spread([one.cycles[LAST_CYCLE].model_error_rms for one in found], "{:.3f}")
-
-
-def overshoots(first: int) -> str:
-    """Overshoot of every controller in the last cycle, in percent."""
-    rows = [[name, *(_overshoot(name, one, first) for one in NOISES)] for name in CONTROLLERS]
-    return table(["noise", *NOISES], rows)
-
-
-def _overshoot(controller: str, noise: str, first: int) -> str:
-    found = runs(controller, noise, first)
-    return spread([100.0 * one.cycles[LAST_CYCLE].overshoot for one in found], "{:.1f}")
+def _last(controller: str, noise: str, first: int) -> str:
+    found = [one.cycles[LAST_CYCLE] for one in runs(controller, noise, first)]
+    error = spread([one.model_error_rms for one in found], "{:.3f}")
+    return f"{error}; {spread([100.0 * one.overshoot for one in found], '{:.1f}')}"
 
 
 def convergence(first: int) -> str:
@@ -131,8 +121,7 @@ def _when(found: list[float | None]) -> str:
 
 def tables(first: int) -> Iterator[tuple[str, str]]:
     """Every table by the name of its mark."""
-    yield "three-disks", model_errors(first)
-    yield "overshoot", overshoots(first)
+    yield "three-disks", three_disks(first)
     yield "convergence", convergence(first)
 
 

@@ -25,7 +25,7 @@ from tools.benchmarks.rivals.runs import CONTROLLERS, PAPER, Figures, figures, t
 
 ROOT = Path(__file__).parents[3]
 RESULT = ROOT / "docs" / "proof" / "compared.json"
-PAGES = (ROOT / "docs" / "proof" / "compared.md", ROOT / "README.md")
+PAGE = ROOT / "docs" / "proof" / "compared.md"
 PICTURE = ROOT / "docs" / "images" / "compared.png"
 
 FIRST_SEED, SEEDS = 91_500_000, 20
@@ -120,8 +120,6 @@ DISTURBED = ("G", "H", "J", "K", "bath G", "battery N")
 """Cases whose largest deviation is shown in place of the overshoot."""
 
 KINDS = {"motors": MOTORS, "baths": BATHS, "batteries": BATTERIES}
-SHOWN = ("A", "B", "F", "H")
-"""Cases in the README."""
 
 
 def texts(result: Result) -> dict[str, str]:
@@ -132,8 +130,7 @@ def texts(result: Result) -> dict[str, str]:
     for kind, cases in KINDS.items():
         other = f"\n\n{other_table(result, cases)}" if kind == "motors" else ""
         shown[f"compared-{kind}"] = f"{rms_table(result, cases)}{other}{note}"
-    chosen = tuple(CASES[name] for name in SHOWN)
-    return shown | {"compared": rms_table(result, chosen) + note}
+    return shown
 
 
 def rendered(page: str, result: Result) -> str:
@@ -163,8 +160,7 @@ def main() -> None:
     cases, controllers = options.cases.split(","), options.only.split(";")
     compute(result, [c for c in cases if c], [c for c in controllers if c], options.processes)
     RESULT.write_text(json.dumps(result, sort_keys=True) + "\n", encoding="utf-8")
-    for page in PAGES:
-        page.write_text(rendered(page.read_text("utf-8"), result), encoding="utf-8")
+    PAGE.write_text(rendered(PAGE.read_text("utf-8"), result), encoding="utf-8")
     PICTURE.write_bytes(draw(result))
 
 

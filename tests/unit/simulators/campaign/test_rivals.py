@@ -7,7 +7,7 @@ import pytest
 from adaptdrive.control.signals import Mode
 from tools.benchmarks.rivals.cases import CASES
 from tools.benchmarks.rivals.held import run_held
-from tools.benchmarks.rivals.results import PAGES, read, rendered
+from tools.benchmarks.rivals.results import PAGE, ROOT, number, read, rendered
 from tools.benchmarks.rivals.runs import CONTROLLERS, figures, takes_part
 
 SEED = 44_900_000
@@ -37,11 +37,20 @@ def test_adaptive_comes_near_to_a_controller_that_knows_load_and_limits(name: st
     assert adaptive < known + 2.0
 
 
-def test_the_pages_show_the_figures_of_the_result_file() -> None:
-    result = read()
-    for page in PAGES:
-        text = page.read_text(encoding="utf-8")
-        assert rendered(text, result) == text, f"make rivals writes {page.name}"
+def test_the_page_shows_the_figures_of_the_result_file() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert rendered(text, read()) == text, "make rivals writes the page"
+
+
+def test_the_readme_states_the_figures_of_three_disks() -> None:
+    case = read()["cases"]["B"]
+    rms = {name: number(case[name]["rms"][0]) for name in case}
+    stated = (
+        f"adaptive {rms['adaptive']} and fixed {rms['fixed']}, PI {rms['SIMC PI']}, "
+        f"PID {rms['relay PID']}, recursive least squares with pole placement {rms['RLS']}, "
+        f"an MPC that knows the true load {rms['MPC']}."
+    )
+    assert stated in " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
 
 
 def test_every_case_has_figures_of_every_controller() -> None:
