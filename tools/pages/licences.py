@@ -18,12 +18,11 @@ OPTIONAL = frozenset({"sim", "cluster", "identify", "analysis", "export"})
 
 _HEAD = """# Licences
 
-For those who pass adaptdrive on: the licence of each library, made by `make docs` from the metadata
-of the installed libraries. adaptdrive itself is under the [MIT licence](../LICENSE). The Debian
-package holds the full text of each licence next to its library, in
+For those who pass adaptdrive on: the licence of each library, from its metadata. adaptdrive itself
+is under the [MIT licence](../LICENSE). The Debian package holds the full texts in
 `/opt/adaptdrive/lib/python3*/site-packages/*.dist-info`, or else in
-`/usr/share/doc/adaptdrive/copyright`; each library in the package is unmodified, so that another
-version can replace it.
+`/usr/share/doc/adaptdrive/copyright`; each library is unmodified, so that another version can
+replace it.
 """
 _SECTIONS = (
     ("In the Debian package", PACKED),

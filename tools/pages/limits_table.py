@@ -18,7 +18,7 @@ MARKS = "<!-- limits: written by `make docs` -->\n", "<!-- end of limits -->\n"
 FOLD_MARKS = "<!-- fold: written by `make docs` -->\n", "<!-- end of fold -->\n"
 CHECKOUT = Path(__file__).parents[2]
 EXAMPLES = CHECKOUT / "deploy" / "examples"
-DRIVES = ("motor", "motor-modbus-tcp", "motor-cia402")
+DRIVES = ("motor", "motor-modbus-tcp")
 
 
 def limits() -> list[str]:
@@ -44,7 +44,7 @@ def fold() -> str:
 
 
 def table() -> str:
-    """Return the table as Markdown: each limit, and its value for three drives."""
+    """Return the table as Markdown: each limit, and its value for two drives."""
     drives = [timing_of(load_configuration(EXAMPLES / f"{name}.toml")) for name in DRIVES]
     heads = ["limit", *(f"`{name}.toml`" for name in DRIVES)]
     lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]

@@ -14,7 +14,7 @@ from tests.integration.faults.rows import GROUPS
 from tools.pages.marked import with_part
 from tools.proof.forms import Form, forms
 from tools.proof.results import RESULTS, Result, load
-from tools.proof.summaries import counted, fault_matrix, table, tried, without_still
+from tools.proof.summaries import counted, fault_matrix, life, table, tried, without_still
 
 MARKS = "<!-- faults: written by `make docs` -->\n", "<!-- end of faults -->\n"
 INTRODUCTION = """# Proof
@@ -38,7 +38,7 @@ BRANCHES = ("name", "lines", "not run", "branches", "not taken", "run")
 
 BRIEF: dict[str, Callable[[str], str]] = {
     "inputs": tried,
-    "soak-virtual": without_still,
+    "soak-virtual": life,
     "soak-real": without_still,
 }
 """How the page shortens the output of a form."""

@@ -94,6 +94,16 @@ def without_still(text: str) -> str:
     return "\n".join([*lines, "", f"Flat, and no larger at the end: {named}."]) if still else text
 
 
+def life(text: str) -> str:
+    """Return the text of virtual days with its trips in one list, and without what stays flat."""
+    trips = re.findall(r"([\d,]+) × trip: ([^,.]+)[,.]", text)
+    first = re.search(r", [\d,]+ × trip: .*", text)
+    if first is not None:
+        listed = ", ".join(f"{cause} {count}" for count, cause in trips)
+        text = text.replace(first[0], f"; trips: {listed}.")
+    return without_still(text)
+
+
 def tried(text: str) -> str:
     """Return the lines of the fuzzer as one; as they are where one has not passed."""
     found = [PASSED.fullmatch(line) for line in text.splitlines()]
