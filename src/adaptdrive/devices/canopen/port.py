@@ -338,7 +338,7 @@ class CanOpenWatch(node.NodePort):
         return values | {binding.BRIDGE: float(state in profile.POWERED)}
 
     def _pass_on(self, values: dict[str, float], start_s: float) -> None:
-        newest, listener = node.newest_values(self._mapping), self._connection.listener
+        newest, listener = self._mapping.newest_values(), self._connection.listener
         newest.keep(values, start_s)
         reading = newest.reading(self._clock(), set_s=start_s)
         if listener is not None and reading is not None:
