@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from itertools import chain, groupby
 from pathlib import Path
 from typing import Any, TypeVar
@@ -211,7 +212,8 @@ def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> l
     info = session.read_info(directory)
     for part, files in groupby(logged.files, key=lambda file: file.part):
         if info.segments < part != logged.open:
-            info = close_segment(directory, logged.header, info, part, tuple(files))
+            write = partial(close_segment, directory, logged.header, info, part, tuple(files))
+            info = _with_reserve(logged.folder, write)
     if not logged.open and info.ended is session.Ending.OPEN:
         _with_reserve(logged.folder, lambda: _end(directory, info, logged, report))
     if logged.newest:

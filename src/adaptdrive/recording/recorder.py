@@ -337,7 +337,6 @@ class Recorder:
         self._note(self._events.drain())
         self._count(last=True)
         self._note(self._events.drain())  # with the loss that this has reported
-        self._log.append(records.Kind.END, b"")
         written = await self._log.close(part_s)
         self.complete = not self._begun or (written and self._archiving.directory is not None)
         if not self.complete:

@@ -208,11 +208,15 @@ class LogWriter:
         work()
 
     def _write_for_ever(self) -> None:
-        while not (self._closing.is_set() and self._idle):
+        ended = False
+        while not ended:
             with contextlib.suppress(queue.Empty):
-                self._wakes.get(timeout=None if self._idle else _PAUSE_S)
+                waits = self._closing.is_set() or not self._idle
+                self._wakes.get(timeout=_PAUSE_S if waits else None)
             if self._tried(NOTES, self._write_notes) and self._rows_begun.is_set():
                 self._rows_fail = not self._tried(ROWS, self._write_rows)
+            # after all else, so that nothing is missing where it can be read
+            ended = self._closing.is_set() and self._idle and self._tried(NOTES, self._write_end)
         self._end_file()
         self._notify(LogStatus(written=True))
         self._syncs.put((None, self._notes_written))
@@ -225,13 +229,7 @@ class LogWriter:
     def _write_notes(self) -> None:
         """Write events, commands and replies, on a full disk into the reserve."""
         while _fill(self._taken, self.notes):
-            try:
-                self._append(self._taken)
-            except OSError as problem:
-                if problem.errno not in {errno.ENOSPC, errno.EDQUOT}:
-                    raise
-                release(self._folder)
-                self._append(self._taken)
+            self._append_last(self._taken)
             self._notes_written += len(self._taken)
             self._taken.clear()
             self._syncs.put((self._descriptor, self._notes_written))
@@ -239,12 +237,28 @@ class LogWriter:
     def _write_rows(self) -> None:
         self._begin_rows()
         while _fill(self._taken_rows, self.rows):
-            # the last space of a disk is for events and for the record of a trip
-            set_aside(self._folder)
+            append = self._append_last
+            if not self._closing.is_set():
+                # the last space is for events, the end of a session and the record of a trip
+                set_aside(self._folder)
+                append = self._append
             taken = self._taken_rows
-            self._append([replace(one, payload=zlib.compress(one.payload, _FAST)) for one in taken])
+            append([replace(one, payload=zlib.compress(one.payload, _FAST)) for one in taken])
             self.rows_written += sum(len(item.payload) for item in taken)
             taken.clear()
+
+    def _write_end(self) -> None:
+        self._append_last([Record(0, *self._clock(), Kind.END, b"")])
+
+    def _append_last(self, items: list[Record]) -> None:
+        """Append, on a full disk into the reserve."""
+        try:
+            self._append(items)
+        except OSError as problem:
+            if problem.errno not in {errno.ENOSPC, errno.EDQUOT}:
+                raise
+            release(self._folder)
+            self._append(items)
 
     def _append(self, items: list[Record]) -> None:
         self._require_file()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import os
 import resource
 import subprocess
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.recording import writer
 from adaptdrive.recording.archive import archive
 from adaptdrive.recording.journal import RecordingPace
 from adaptdrive.recording.journal_files import log_files
@@ -239,6 +241,28 @@ async def test_a_full_disk_stops_recording_which_resumes(sessions: Path) -> None
     assert "File too large" in first.detail
     assert isinstance(last, Event)
     assert "recording continues" in last.detail
+
+
+async def test_a_stop_on_a_disk_without_room_writes_what_waits_and_archives_it(
+    sessions: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is left of the disk is for the end: the reserve, or less than its size."""
+
+    def no_room(_: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    async with recording(sessions) as bench:
+        await bench.publish(200)
+        monkeypatch.setattr(writer, "set_aside", no_room)
+        await bench.publish(500)
+        assert bench.recorder.failing
+        assert len(sequences(bench.session())) < bench.published
+    read = bench.session()
+    assert bench.recorder.complete
+    assert read.info.ended is Ending.ORDERLY
+    assert sequences(read) == list(range(bench.published))
+    assert verify(read).whole
+    assert (bench.directory / "ticks-0001.parquet").exists()
 
 
 async def test_nothing_is_made_before_it_may_begin(
