@@ -15,7 +15,7 @@ from adaptdrive.cli.explain import with_kind
 from adaptdrive.cli.options import Json, Settings, print_each, print_json, refusing
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.recording import journal_files, reader, segments
+from adaptdrive.recording import journal_files, reader, retention, segments
 from adaptdrive.recording import replay as replaying
 from adaptdrive.recording import session as folders
 from adaptdrive.recording.records import EventRow, Keep, Kind
@@ -170,7 +170,7 @@ def prune(
         as_json: Print JSON: a sentence for each removal.
     """
     keep = Keep(keep_days, None if keep_MB is None else round(keep_MB * 1e6))
-    removals = segments.prune(_folder(directory), keep, datetime.now(UTC))
+    removals = retention.prune(_folder(directory), keep, datetime.now(UTC))
     print_each(((sentence, sentence) for sentence in removals), as_json)
     return 0
 
@@ -230,7 +230,7 @@ def _condition(verdict: reader.Verification) -> str:
 def _facts(path: Path, info: folders.SessionInfo) -> dict[str, Any]:
     return {
         "session": escaped(path.name),
-        "bytes": segments.size_of(path),
+        "bytes": retention.size_of(path),
         "trips": sorted(one.name for one in path.glob("trip-*")),
         "info": info,
     }
