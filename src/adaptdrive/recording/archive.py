@@ -23,7 +23,6 @@ import pyarrow as pa
 
 from adaptdrive.recording import journal_files, reader, records, retention, segments, session
 from adaptdrive.recording.tables import NOTE_ROWS, table_schema, write_parquet
-from adaptdrive.recording.writer import release
 from adaptdrive.runtime.reports import BINS, MONOTONIC, Severity, bin_of
 from adaptdrive.safety.trips import ADVICES, TripKind, kind_of, remedy
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
@@ -274,7 +273,7 @@ def _with_reserve(folder: Path, write: Callable[[], T]) -> T:
         return write()
     except ERRORS:
         # whatever it was: the reserve is what can be done about it
-        release(folder)
+        journal_files.release(folder)
         return write()
 
 

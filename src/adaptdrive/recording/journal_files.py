@@ -9,8 +9,11 @@ The daemon holds a lock on the file that it writes.
 """
 
 import contextlib
+import errno
 import fcntl
+import os
 import re
+import shutil
 from collections import OrderedDict, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +25,7 @@ import msgspec
 from adaptdrive.recording.records import LARGEST_BYTES, EventRow, Header, Kind, Record, read_frames
 from adaptdrive.recording.session import Ending, SessionInfo, time_in_name
 from adaptdrive.util.errors import NOT_JSON, RecordingError, reason_of
-from adaptdrive.util.files import read_regular
+from adaptdrive.util.files import read_regular, require_regular
 
 # State that the log carries from segment to segment: a fold over its records.
 
@@ -338,3 +341,35 @@ def _content(path: Path) -> bytes:
         return b""
     except OSError as problem:
         raise RecordingError(path, reason_of(problem)) from problem
+
+
+# Disk space set aside for a full disk: events, the end of a session, and the record of a trip.
+
+_RESERVE = ".reserve"
+_RESERVE_BYTES = 2 << 20
+"""Two records of a trip, each of 70 s at full rate."""
+
+
+def set_aside(folder: Path) -> None:
+    """Occupy the reserve, where that is not done yet.
+
+    Raises:
+        OSError: There is too little space for the reserve and as much again to record into, or
+            something that is no file has its name.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path, held = folder / _RESERVE, 0
+    if path.exists():
+        require_regular(path)
+        held = path.stat().st_size
+    if held >= _RESERVE_BYTES:
+        return
+    if shutil.disk_usage(folder).free < 2 * _RESERVE_BYTES - held:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+    with path.open("ab") as file:
+        os.posix_fallocate(file.fileno(), 0, _RESERVE_BYTES)
+
+
+def release(folder: Path) -> None:
+    """Give the reserve back to the disk."""
+    (folder / _RESERVE).unlink(missing_ok=True)

@@ -11,9 +11,8 @@ from itertools import count
 from pathlib import Path
 
 from adaptdrive.app.reload import log_events
-from adaptdrive.recording.journal import RecordingPace
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.records import Header
+from adaptdrive.recording.records import Header, Pace
 from adaptdrive.runtime.reports import Event, Hub, Severity
 from tests.unit.recording.material import INFO, make_tick
 
@@ -32,7 +31,7 @@ async def publish(hub: Hub) -> None:
 
 async def main(sessions: Path) -> None:
     hub = Hub()
-    pace = RecordingPace(flush_s=0.1, keep_s=60.0)
+    pace = Pace(flush_s=0.1, keep_s=60.0)
     log = sessions.with_name("motor.log")
     recorder = Recorder(log, sessions, Header(INFO, ""), hub, clock, pace)
     hub.kept = recorder.kept

@@ -17,13 +17,12 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.recording import writer
+from adaptdrive.recording import journal
 from adaptdrive.recording.archive import archive
-from adaptdrive.recording.journal import RecordingPace
 from adaptdrive.recording.journal_files import log_files
 from adaptdrive.recording.reader import Session, read_session, session_notes, verify
 from adaptdrive.recording.recorder import EVENT_KIND, Recorder
-from adaptdrive.recording.records import Header, Keep
+from adaptdrive.recording.records import Header, Keep, Pace
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import Dropped, Ending, session_directories
 from adaptdrive.runtime.reports import CommandReport, Event, Hub, Severity
@@ -50,7 +49,7 @@ class Bench:
         self.sessions = sessions
         self.published = 0
         self.told = self.hub.subscribe(Event, size=100)
-        pace = RecordingPace(flush_s=flush_s, backlog_bytes=backlog_bytes, trip_s=0.5)
+        pace = Pace(flush_s=flush_s, backlog_bytes=backlog_bytes, trip_s=0.5)
         header = Header(INFO, "# as configured\n")
         self.recorder = Recorder(log_of(sessions), sessions, header, self.hub, clock, pace)
         self.running: asyncio.Task[None] | None = None
@@ -253,7 +252,7 @@ async def test_a_stop_on_a_disk_without_room_writes_what_waits_and_archives_it(
 
     async with recording(sessions) as bench:
         await bench.publish(200)
-        monkeypatch.setattr(writer, "set_aside", no_room)
+        monkeypatch.setattr(journal, "set_aside", no_room)
         await bench.publish(500)
         assert bench.recorder.failing
         assert len(sequences(bench.session())) < bench.published
