@@ -111,7 +111,7 @@ def row_times(session: Session, batch: pa.RecordBatch) -> Array:
 
 def read_curves(session: Session, window: Window) -> Curves:
     """Read what a figure shows of a session; of many slow steps every n-th."""
-    steps = list(_within(session, TableName.SLOW, _SLOW_COLUMNS, window))
+    steps = list(rows_within(session, TableName.SLOW, _SLOW_COLUMNS, window))
     slow_s = np.concatenate([np.empty(0), *(time_s for time_s, _ in steps)])
     ticks = _envelopes(session, window)
     if not steps:
@@ -125,9 +125,10 @@ def read_curves(session: Session, window: Window) -> Curves:
     return Curves(window, ticks, slow_s[shown], slow, _estimates(rows))
 
 
-def _within(
+def rows_within(
     session: Session, table: str, columns: tuple[str, ...], window: Window
 ) -> Iterator[tuple[Array, pa.RecordBatch]]:
+    """Yield the rows of a part of a session, with their times since its left edge."""
     for batch in session.batches(table, ("monotonic_s", "tick", *columns)):
         time_s = row_times(session, batch)
         first, last = np.searchsorted(time_s, (window.begin_s, window.end_s), side="left")
@@ -139,7 +140,7 @@ def _envelopes(session: Session, window: Window) -> dict[str, tuple[Array, Array
     width_s = (window.end_s - window.begin_s) / _BINS
     low = {name: np.full(_BINS, np.inf) for name in _TICK_COLUMNS}
     high = {name: np.full(_BINS, -np.inf) for name in _TICK_COLUMNS}
-    for time_s, batch in _within(session, TableName.TICKS, _TICK_COLUMNS, window):
+    for time_s, batch in rows_within(session, TableName.TICKS, _TICK_COLUMNS, window):
         bins = np.minimum((time_s / width_s).astype(np.int64), _BINS - 1)
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
         at = bins[starts]

@@ -217,7 +217,7 @@ def _write_mdf4(session: reader.Session, into: Path) -> list[Path]:
     }
     started = session.info.started
     begins = [(times_s[name][0], whole["utc"][0].as_py()) for name, whole in tables.items()]
-    begin_s, begun = min(begins, default=(0.0, started))
+    begin_s, begun = min(begins, key=lambda one: one[0], default=(0.0, started))
     with MDF(version="4.10") as file:
         file.start_time = begun or started
         for table, whole in tables.items():

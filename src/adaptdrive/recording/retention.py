@@ -8,9 +8,9 @@ A symbolic link to a session, such as one that was moved to another disk, takes 
 neither counted nor removed.
 """
 
+import math
 import os
 import shutil
-import stat
 from collections.abc import Iterator
 from contextlib import suppress
 from datetime import datetime
@@ -30,6 +30,8 @@ _CONFIRMED_DAYS = 1.0
 def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None) -> Iterator[str]:
     """Remove what is too old or too much.
 
+    The oldest sessions go first, then the oldest segments of the session in progress.
+
     Args:
         sessions: Folder of all sessions.
         keep: How long sessions are kept.
@@ -37,44 +39,35 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
         current: The session in progress, which loses closed segments at most; None where a person
             has asked for the removal.
 
-    The oldest sessions go first, then the oldest segments of the session in progress.
-
     Yields:
         A sentence for each removal.
 
     Raises:
         RecordingError: A session cannot be removed; the others are.
     """
-    directories = [path for path in session.session_directories(sessions) if not path.is_symlink()]
-    older = [path for path in directories if path != current]
-    outdated = _too_old(directories, keep, now, by_person=current is None)
-    excess = sum(map(size_of, directories)) - keep.bytes if keep.bytes is not None else 0
+    found = [path for path in session.session_directories(sessions) if not path.is_symlink()]
+    sizes = {path: size_of(path) for path in found}
+    outdated = _too_old(found, keep, now, by_person=current is None)
+    excess = -math.inf if keep.bytes is None else sum(sizes.values()) - keep.bytes
     failed: list[RecordingError] = []
-    for directory in older:
-        size = size_of(directory)
+    for directory in (path for path in found if path != current):
+        cause = f"it is older than {keep.days:g} days" if directory in outdated else ""
         if excess > 0:
             cause = f"sessions take more than {(keep.bytes or 0) / 1e6:g} MB"
-        elif directory in outdated:
-            cause = f"it is older than {keep.days:g} days"
-        else:
-            continue
         try:
-            removed = _remove(directory)
-        except FileNotFoundError:
-            continue  # another drive that shares the folder, or a person, has removed it
+            removed = bool(cause) and _remove(directory)
         except OSError as problem:
             failed.append(RecordingError(directory, f"the session cannot be removed: {problem}"))
             continue
         if removed:
-            excess -= size
+            excess -= sizes[directory]
             yield f"session {directory.name} removed: {cause}"
-    if current is not None and excess > 0:
-        yield from _prune_segments(current, excess)
+    yield from _prune_segments(current, excess) if current else ()
     if failed:
         raise failed[0]
 
 
-def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
+def _prune_segments(directory: Path, excess: float) -> Iterator[str]:
     for segment in segments(directory, None, session.TABLES):
         if excess <= 0:
             return
@@ -85,12 +78,15 @@ def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
 
 
 def _remove(directory: Path) -> bool:
+    """Remove a session; another drive that shares the folder, or a person, may have done it."""
     # nobody writes a session whose facts cannot be read
     with suppress(RecordingError):
         if journal_files.in_progress(directory, session.read_info(directory)):
             return False
-    shutil.rmtree(directory)
-    return True
+    with suppress(FileNotFoundError):
+        shutil.rmtree(directory)
+        return True
+    return False
 
 
 def _too_old(directories: list[Path], keep: Keep, now: datetime, *, by_person: bool) -> set[Path]:
@@ -111,9 +107,7 @@ def _too_old(directories: list[Path], keep: Keep, now: datetime, *, by_person: b
 def size_of(directory: Path) -> int:
     """Return the bytes of the files in a folder; what is removed meanwhile takes none."""
     size = 0
-    for folder, _, names in os.walk(directory):
-        for name in names:
-            with suppress(OSError):
-                found = Path(folder, name).stat()
-                size += found.st_size if stat.S_ISREG(found.st_mode) else 0
+    for path in (Path(folder, name) for folder, _, names in os.walk(directory) for name in names):
+        with suppress(OSError):
+            size += path.stat().st_size if path.is_file() else 0
     return size
