@@ -17,7 +17,7 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.recording.journal_files import Begin, LogFile, Recalled, new_file, recall
+from adaptdrive.recording.log_files import Begin, LogFile, Recalled, new_file, recall
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import EventRow, Header, Kind, Record, framed
 from adaptdrive.recording.segments import logged_batches

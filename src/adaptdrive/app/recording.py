@@ -24,7 +24,7 @@ from adaptdrive.control.estimation.direct import METHODS
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.devices.description import description_text
-from adaptdrive.recording import journal_files, recorder, records, session
+from adaptdrive.recording import log_files, recorder, records, session
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import NOT_JSON, RecordingError, escaped
@@ -240,7 +240,7 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
     configuration: Configuration,
     text: str,
     hub: Hub,
-    recalled: journal_files.Recalled,
+    recalled: log_files.Recalled,
     learnt: Learnt,
     start_thread: Callable[[], None],
 ) -> recorder.Recorder:

@@ -15,7 +15,7 @@ from adaptdrive.cli.explain import with_kind
 from adaptdrive.cli.options import Json, Settings, print_each, print_json, refusing
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.recording import journal_files, reader, retention, segments
+from adaptdrive.recording import log_files, reader, retention, segments
 from adaptdrive.recording import replay as replaying
 from adaptdrive.recording import session as folders
 from adaptdrive.recording.records import EventRow, Keep, Kind
@@ -132,7 +132,7 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
     found = named or [(path.name, path) for path in every]
     for path in () if sessions else (path for _, path in found):
         if left := _left(path):
-            status |= journal_files.last_of(left, Kind.END) is None
+            status |= log_files.last_of(left, Kind.END) is None
             text = f"{path.name}: data and events that the next start of the daemon writes"
             print(f"adaptdrive: {text} into it", file=sys.stderr)
     for name, path in found:
@@ -211,12 +211,12 @@ def _shown(events: list[EventRow]) -> list[EventRow]:
     return [one for one in events if one not in counts[:-1]]
 
 
-def _left(path: Path) -> list[journal_files.LogFile]:
+def _left(path: Path) -> list[log_files.LogFile]:
     """Return the files in the log with what a daemon that is gone has left of a session there."""
     try:
         info = folders.read_info(path)
-        found = journal_files.unarchived(path, info)
-        return [] if journal_files.in_progress(path, info) else found
+        found = log_files.unarchived(path, info)
+        return [] if log_files.in_progress(path, info) else found
     except RecordingError:
         return []  # it is verified all the same
 

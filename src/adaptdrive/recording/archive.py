@@ -21,7 +21,7 @@ from typing import TypeVar
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import journal_files, reader, records, retention, segments, session
+from adaptdrive.recording import log_files, reader, records, retention, segments, session
 from adaptdrive.recording.tables import NOTE_ROWS, table_schema, write_parquet
 from adaptdrive.runtime.reports import BINS, MONOTONIC, Severity, bin_of
 from adaptdrive.safety.trips import ADVICES, TripKind, kind_of, remedy
@@ -91,7 +91,7 @@ def _write_trips(
     written = []
     for trip in events:
         name = f"{session.TRIP_PREFIX}{session.time_in_name(trip.time)}-{trip.number}"
-        is_due = trip.kind == journal_files.TRIP and trip.monotonic_s <= due_s
+        is_due = trip.kind == log_files.TRIP and trip.monotonic_s <= due_s
         if is_due and not (directory / name).exists():
             around_s = trip.monotonic_s - _BEFORE_S, trip.monotonic_s + after_s
             near = [one for one in events if around_s[0] <= one.monotonic_s <= around_s[1]]
@@ -171,7 +171,7 @@ class _Logged:
     """
 
     header: records.Header
-    files: tuple[journal_files.LogFile, ...]
+    files: tuple[log_files.LogFile, ...]
     newest: bool
     open: int
 
@@ -205,7 +205,7 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
         return written
     with _alone(folder):
         # listed once: what the daemon begins meanwhile is for the next run, and stays
-        files, live = journal_files.log_files(folder), journal_files.is_live(folder)
+        files, live = log_files.log_files(folder), log_files.is_live(folder)
         for started, group in groupby(files, key=lambda file: file.session):
             of_session, newest = tuple(group), started == files[-1].session
             try:
@@ -235,7 +235,7 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _put_aside(files: Sequence[journal_files.LogFile], report: Report) -> None:
+def _put_aside(files: Sequence[log_files.LogFile], report: Report) -> None:
     """Rename files without a first record that can be read; those that took no record go."""
     for file in files:
         if not file.path.stat().st_size:
@@ -273,7 +273,7 @@ def _with_reserve(folder: Path, write: Callable[[], T]) -> T:
         return write()
     except ERRORS:
         # whatever it was: the reserve is what can be done about it
-        journal_files.release(folder)
+        log_files.release(folder)
         return write()
 
 
@@ -284,13 +284,13 @@ def _directory(logged: _Logged) -> Path | None:
         return None
     sessions = logged.folder.parent / header.sessions
     found = session.session_of(sessions, header.info)
-    if found is None and journal_files.last_of(logged.files, *records.ROW_KINDS):
+    if found is None and log_files.last_of(logged.files, *records.ROW_KINDS):
         return session.create_session(sessions, header.info, header.config_text)
     return found
 
 
 def close_segment(
-    directory: Path, info: session.SessionInfo, part: int, files: Sequence[journal_files.LogFile]
+    directory: Path, info: session.SessionInfo, part: int, files: Sequence[log_files.LogFile]
 ) -> session.SessionInfo:
     """Write one segment; `session.json` is last, and states that it is closed.
 
@@ -332,9 +332,9 @@ def _cut(directory: Path, info: session.SessionInfo, report: Report) -> None:
     report(Severity.WARNING, detail)
 
 
-def _remove_archived(files: Sequence[journal_files.LogFile], *, live: bool) -> None:
+def _remove_archived(files: Sequence[log_files.LogFile], *, live: bool) -> None:
     """Remove the files before the last one that says what they have left."""
-    sound = journal_files.since_last_begin(files, [])
+    sound = log_files.since_last_begin(files, [])
     if not sound:
         return
     open_part = (files[-1].session, files[-1].part) if live else None

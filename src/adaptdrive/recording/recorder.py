@@ -12,7 +12,8 @@ from typing import Any
 
 import msgspec
 
-from adaptdrive.recording import archiver, journal, journal_files, records, session
+from adaptdrive.recording import archiver, log_files, records, session
+from adaptdrive.recording.log import SYNC, Clock, Log
 from adaptdrive.runtime import reports
 
 EVENT_KIND = "recording"
@@ -51,9 +52,9 @@ class Recorder:
         sessions: Path | None,
         header: records.Header,
         hub: reports.Hub,
-        clock: journal.Clock,
+        clock: Clock,
         pace: records.Pace = records.Pace(),  # noqa: B008 - frozen
-        recalled: journal_files.Recalled = journal_files.Recalled(),  # noqa: B008 - frozen
+        recalled: log_files.Recalled = log_files.Recalled(),  # noqa: B008 - frozen
     ) -> None:
         """Prepare to record.
 
@@ -76,7 +77,7 @@ class Recorder:
         self._sensors = hub.subscribe(reports.SensorSample, reports.DriveReport, size=held)
         self._events = hub.subscribe(reports.Event, reports.CommandReport, size=_EVENTS_HELD)
         self._publish, self._clock, self._pace = hub.publish, clock, pace
-        self._log = journal.Log(
+        self._log = Log(
             log,
             header,
             recalled,
@@ -192,7 +193,7 @@ class Recorder:
             kind = records.Kind.EVENT if is_event else records.Kind.COMMAND
             row = records.note_row(report, utc, now_s, next(self._numbers))
             self._log.append(kind, msgspec.msgpack.encode(row))
-            if isinstance(report, reports.Event) and report.kind == journal_files.TRIP:
+            if isinstance(report, reports.Event) and report.kind == log_files.TRIP:
                 # once its record is complete
                 loop = asyncio.get_running_loop()
                 loop.call_later(self._pace.trip_s + 0.1, self._due.set)
@@ -267,12 +268,12 @@ class Recorder:
 
     def _on_problem(self, what: str, why: str) -> None:
         begun = self._directory is not None
-        if why and what == journal.SYNC:
+        if why and what == SYNC:
             risk = f"a power cut may take what is written: {why}"
             self._report(reports.Severity.WARNING, risk)
         elif why:
             self._report(reports.Severity.ALARM, f"{STOPPED if begun else UNBEGUN}: {why}")
-        elif what != journal.SYNC and not self._log.failing:
+        elif what != SYNC and not self._log.failing:
             self._report(reports.Severity.INFO, "recording continues")
 
     def _report(self, severity: reports.Severity, detail: str) -> None:

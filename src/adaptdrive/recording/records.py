@@ -1,4 +1,4 @@
-"""Records of the journal: their payloads, and the frames with number, time, kind and checksum.
+"""Records of the log: their payloads, and the frames with number, time, kind and checksum.
 
 Numbers of fast ticks are packed machine arrays, so that a float is read with the very bits that it
 was written with.

@@ -16,7 +16,7 @@ from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
-from adaptdrive.recording import journal_files, session
+from adaptdrive.recording import log_files, session
 from adaptdrive.recording.records import Keep
 from adaptdrive.recording.segments import segments
 from adaptdrive.util.errors import RecordingError
@@ -81,7 +81,7 @@ def _remove(directory: Path) -> bool:
     """Remove a session; another drive that shares the folder, or a person, may have done it."""
     # nobody writes a session whose facts cannot be read
     with suppress(RecordingError):
-        if journal_files.in_progress(directory, session.read_info(directory)):
+        if log_files.in_progress(directory, session.read_info(directory)):
             return False
     with suppress(FileNotFoundError):
         shutil.rmtree(directory)

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import journal_files, tables
+from adaptdrive.recording import log_files, tables
 from adaptdrive.recording.records import ROW_KINDS, CommandRow, EventRow, Kind, Record, Ticks
 from adaptdrive.recording.session import SessionInfo, TableName
 from adaptdrive.runtime.reports import MONOTONIC
@@ -52,7 +52,7 @@ class Segment:
     number: int
     tables: tuple[str, ...]
     directory: Path
-    logged: tuple[journal_files.LogFile, ...] = ()
+    logged: tuple[log_files.LogFile, ...] = ()
 
     @property
     def path(self) -> Path:
@@ -98,7 +98,7 @@ def segments(
     Raises:
         RecordingError: The folder of the log cannot be read.
     """
-    unarchived = journal_files.unarchived(directory, info) if info else []
+    unarchived = log_files.unarchived(directory, info) if info else []
     matches = (_NAME.fullmatch(path.name) for path in directory.iterdir())
     closed = {(int(match[2]), match[1]) for match in matches if match and match[1] in wanted}
     found = [Segment(number, (table,), directory) for number, table in closed]
@@ -141,7 +141,7 @@ def _notes(segment: Segment, table: str, batch: pa.RecordBatch) -> list[Any]:
 
 
 def logged_batches(
-    files: Sequence[journal_files.LogFile],
+    files: Sequence[log_files.LogFile],
     schemas: Mapping[str, pa.Schema],
     losses: list[str],
     last: dict[Kind, Record] | None = None,
@@ -160,7 +160,7 @@ def logged_batches(
     last = {} if last is None else last
     timed = defaultdict[str, list[tuple[Any, float]]](list)
     count = dict.fromkeys(schemas, 0)
-    for record in journal_files.records(files, losses):
+    for record in log_files.records(files, losses):
         table = _TABLES.get(record.kind, "")
         if table not in schemas:
             last[record.kind] = record

@@ -10,7 +10,7 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
-from adaptdrive.app.reload import log_events
+from adaptdrive.app.reload import write_events
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header, Pace
 from adaptdrive.runtime.reports import Event, Hub, Severity
@@ -38,7 +38,7 @@ async def main(sessions: Path) -> None:
     events = hub.subscribe(Event, size=1000)
     async with asyncio.TaskGroup() as group:
         group.create_task(recorder.run())
-        group.create_task(log_events(events, hub.kept))
+        group.create_task(write_events(events, hub.kept))
         group.create_task(publish(hub))
 
 

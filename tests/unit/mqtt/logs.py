@@ -14,8 +14,8 @@ import msgspec
 from adaptdrive.app.run import operator_log
 from adaptdrive.mqtt.desk import ReplyMemory
 from adaptdrive.mqtt.service import OperatorLog
-from adaptdrive.recording.journal import Log
-from adaptdrive.recording.journal_files import Recalled, recall
+from adaptdrive.recording.log import Log
+from adaptdrive.recording.log_files import Recalled, recall
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header, Kind, Pace
 from adaptdrive.runtime.reports import Hub

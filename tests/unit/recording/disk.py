@@ -18,9 +18,10 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.recording import archiver, journal
+from adaptdrive.recording import archiver
+from adaptdrive.recording import log as log_module
 from adaptdrive.recording.archive import ERRORS, archive
-from adaptdrive.recording.journal import Log
+from adaptdrive.recording.log import Log
 from adaptdrive.runtime.reports import Severity
 
 RETRY_S = 0.5
@@ -50,8 +51,8 @@ class Disk:
         self._logs: list[Log] = []
         patch.setattr(Log, "start", partialmethod(_passed, self._start))
         patch.setattr(Log, "_wake", partialmethod(_passed, self._wake))
-        patch.setattr(journal, "_PAUSE_S", 0.0)
-        patch.setattr(journal, "time", SimpleNamespace(sleep=lambda _: None))
+        patch.setattr(log_module, "_PAUSE_S", 0.0)
+        patch.setattr(log_module, "time", SimpleNamespace(sleep=lambda _: None))
 
     @contextmanager
     def stalled(self) -> Iterator[None]:

@@ -14,7 +14,7 @@ import msgspec
 
 from adaptdrive.control.signals import Command, Measurement, Mode, Order, Stage
 from adaptdrive.recording.archive import archive, close_segment
-from adaptdrive.recording.journal_files import Begin, LogFile, log_files, new_file
+from adaptdrive.recording.log_files import Begin, LogFile, log_files, new_file
 from adaptdrive.recording.records import (
     CommandRow,
     EventRow,

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.recording.journal_files import log_files
+from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.reader import Session, read_session, verify
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import (

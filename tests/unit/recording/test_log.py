@@ -12,9 +12,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.recording import journal
-from adaptdrive.recording.journal import Log
-from adaptdrive.recording.journal_files import is_live, log_files, recall, records
+from adaptdrive.recording import log as log_module
+from adaptdrive.recording.log import Log
+from adaptdrive.recording.log_files import is_live, log_files, recall, records
 from adaptdrive.recording.records import EventRow, Header, Kind, Pace
 from adaptdrive.recording.session import Dropped
 from tests.unit.recording.disk import Disk
@@ -171,7 +171,7 @@ async def test_a_full_disk_takes_events_into_its_reserve_and_ticks_wait(
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Log, "_write", refuse)
-        patch.setattr(journal, "set_aside", no_room)
+        patch.setattr(log_module, "set_aside", no_room)
         bench.ticks(1)
         assert "No space left" in await bench.problems()
         assert bench.log.failing
@@ -216,7 +216,7 @@ async def test_a_write_that_is_cut_short_loses_and_repeats_nothing_whether_or_no
 async def test_a_file_that_is_long_enough_is_followed_by_one_that_knows_what_it_left(
     folder: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(journal, "_LARGEST_FILE_BYTES", 2000)
+    monkeypatch.setattr(log_module, "_LARGEST_FILE_BYTES", 2000)
     bench = Bench(folder)
     for number in range(100):
         bench.event(number)

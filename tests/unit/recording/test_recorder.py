@@ -17,9 +17,9 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.recording import journal
+from adaptdrive.recording import log as log_module
 from adaptdrive.recording.archive import archive
-from adaptdrive.recording.journal_files import log_files
+from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.reader import Session, read_session, session_notes, verify
 from adaptdrive.recording.recorder import EVENT_KIND, Recorder
 from adaptdrive.recording.records import Header, Keep, Pace
@@ -252,7 +252,7 @@ async def test_a_stop_on_a_disk_without_room_writes_what_waits_and_archives_it(
 
     async with recording(sessions) as bench:
         await bench.publish(200)
-        monkeypatch.setattr(journal, "set_aside", no_room)
+        monkeypatch.setattr(log_module, "set_aside", no_room)
         await bench.publish(500)
         assert bench.recorder.failing
         assert len(sequences(bench.session())) < bench.published

@@ -25,8 +25,8 @@ from pathlib import Path
 
 import msgspec
 
-from adaptdrive.recording import journal_files
-from adaptdrive.recording.journal_files import release, set_aside
+from adaptdrive.recording import log_files
+from adaptdrive.recording.log_files import release, set_aside
 from adaptdrive.recording.records import ROW_KINDS, Header, Kind, Pace, Record, framed
 from adaptdrive.recording.session import Dropped
 
@@ -59,7 +59,7 @@ class Log:
         self,
         folder: Path,
         header: Header,
-        recalled: journal_files.Recalled,
+        recalled: log_files.Recalled,
         clock: Clock,
         pace: Pace,
         *,
@@ -97,7 +97,7 @@ class Log:
         # files (None to end), each with the notes that the log has by now (None to close the file)
         self._syncs: queue.SimpleQueue[tuple[int | None, int | None]] = queue.SimpleQueue()
         self._closing, self._rows_begun = threading.Event(), threading.Event()
-        self._memory = journal_files.LogMemory(recalled, clock()[0])
+        self._memory = log_files.LogMemory(recalled, clock()[0])
         self._file_number = recalled.file
         self._descriptor, self._path, self._size = -1, Path(), 0
         self._part, self._part_began_s = 0, 0.0
@@ -345,7 +345,7 @@ class Log:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._file_number += 1
         started = self._header.info.started
-        file = journal_files.new_file(self._folder, self._file_number, started, self._part)
+        file = log_files.new_file(self._folder, self._file_number, started, self._part)
         flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC
         self._path, self._size = file.path, 0
         self._descriptor = os.open(file.path, flags, 0o640)
@@ -359,7 +359,7 @@ class Log:
 
     def _append_begin(self) -> None:
         now_s, wall_s = self._clock()
-        begin = journal_files.Begin(self._header, self._part, self._memory.left(now_s))
+        begin = log_files.Begin(self._header, self._part, self._memory.left(now_s))
         payload = msgspec.msgpack.encode(begin)
         # without a separate number: the next record has the same one in whichever file it is
         self._write(framed(Record(self._memory.number, now_s, wall_s, Kind.BEGIN, payload)))

@@ -1,4 +1,4 @@
-"""Files of the journal: names, records, and the state that they carry to the next run.
+"""Files of the log: names, records, and the state that they carry to the next run.
 
 Replies are remembered for commands that come again, events until the broker has them, and of trips
 and estimates the last one. The first record of a segment has all of it, so that a segment can be
