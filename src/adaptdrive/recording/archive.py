@@ -13,10 +13,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 import msgspec
 import pyarrow as pa
@@ -24,8 +23,11 @@ import pyarrow as pa
 from adaptdrive.recording import log_files, reader, records, retention, segments, session
 from adaptdrive.recording.tables import NOTE_ROWS, table_schema, write_parquet
 from adaptdrive.runtime.reports import BINS, MONOTONIC, Severity, bin_of
-from adaptdrive.safety.trips import ADVICES, TripKind, kind_of, remedy
+from adaptdrive.safety.trips import ADVICES, kind_of, remedy
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
+
+T = TypeVar("T")
+P = ParamSpec("P")
 
 # Segments: rows of all tables, counted, in Parquet files.
 
@@ -131,11 +133,15 @@ def _write_rows(
 
 
 def _text(drive: str, trip: records.EventRow, events: list[records.EventRow]) -> str:
+    """Return a trip with its kind, remedy and page of the manual, and the events near it."""
+    advice, kind = [], kind_of(trip.trip_kind)
+    if kind is not None:
+        advice = [f"kind: {kind}", f"remedy: {remedy(kind)}", f"page: {ADVICES[kind].page}"]
     lines = [
         trip.detail,
         "",
         f"drive {drive}, {trip.time:%Y-%m-%dT%H:%M:%S.%f}Z, tick {trip.tick}",
-        *_advice(kind_of(trip.trip_kind)),
+        *advice,
         "",
         "events before and after:",
         *(f"{one.time:%H:%M:%S.%f} {one.severity:<7} {one.kind}: {one.detail}" for one in events),
@@ -143,16 +149,8 @@ def _text(drive: str, trip: records.EventRow, events: list[records.EventRow]) ->
     return "\n".join(lines) + "\n"
 
 
-def _advice(kind: TripKind | None) -> list[str]:
-    """Return the kind of a trip, its remedy, and the page of the manual that says more."""
-    if kind is None:
-        return []
-    return [f"kind: {kind}", f"remedy: {remedy(kind)}", f"page: {ADVICES[kind].page}"]
-
-
 # The archive: a fold from the log of a drive to the folders of its sessions.
 
-T = TypeVar("T")
 Report = Callable[[Severity, str], None]
 
 ERRORS = (AdaptdriveError, OSError, pa.ArrowException)
@@ -179,6 +177,15 @@ class _Logged:
     def folder(self) -> Path:
         """Folder of the log."""
         return self.files[0].path.parent
+
+    def with_reserve(self, write: Callable[P, T], *what: P.args, **named: P.kwargs) -> T:
+        """Write something, on a full disk into the reserve."""
+        try:
+            return write(*what, **named)
+        except ERRORS:
+            # whatever it was: the reserve is what can be done about it
+            log_files.release(self.folder)
+            return write(*what, **named)
 
 
 def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[Path]:
@@ -250,31 +257,21 @@ def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> l
     if directory is None:
         return []
     due_s = now_s - after_s if logged.open else math.inf
-    write_trips = partial(_write_trips, directory, logged.header, due_s, after_s)
-    trips = _with_reserve(logged.folder, write_trips)
+    trips = logged.with_reserve(_write_trips, directory, logged.header, due_s, after_s)
     info = session.read_info(directory)
     for part, files in groupby(logged.files, key=lambda file: file.part):
         if info.segments < part != logged.open:
-            write = partial(close_segment, directory, info, part, tuple(files))
-            known, info = info, _with_reserve(logged.folder, write)
-            for loss in info.losses[len(known.losses) :]:
+            known = len(info.losses)
+            info = logged.with_reserve(close_segment, directory, info, part, tuple(files))
+            for loss in info.losses[known:]:
                 report(Severity.WARNING, f"session {directory.name}: {loss}")
     if not logged.open and info.ended is session.Ending.OPEN:
-        _with_reserve(logged.folder, partial(_cut, directory, info, report))
+        logged.with_reserve(_cut, directory, info, report)
     if logged.newest:
         keep = logged.header.keep
         for sentence in retention.prune(directory.parent, keep, datetime.now(UTC), directory):
             report(Severity.INFO, sentence)
     return trips
-
-
-def _with_reserve(folder: Path, write: Callable[[], T]) -> T:
-    try:
-        return write()
-    except ERRORS:
-        # whatever it was: the reserve is what can be done about it
-        log_files.release(folder)
-        return write()
 
 
 def _directory(logged: _Logged) -> Path | None:

@@ -204,15 +204,12 @@ def session_of(sessions: Path, info: SessionInfo) -> Path | None:
         sessions: Folder of all sessions.
         info: The session.
     """
-    name = _name(info)
-    likeliest_first = sorted(
-        session_directories(sessions),
-        key=lambda path: (not path.name.startswith(name), len(path.name)),
-    )
-    for path in likeliest_first:
+    name, found = _name(info), session_directories(sessions)
+    # the likeliest first
+    for path in sorted(found, key=lambda one: (not one.name.startswith(name), len(one.name))):
         with suppress(RecordingError):
-            found = read_info(path)
-            if (found.started, found.drive) == (info.started, info.drive):
+            known = read_info(path)
+            if (known.started, known.drive) == (info.started, info.drive):
                 return path
     return None
 
