@@ -4,15 +4,16 @@ The order of calls is that of `adaptdrive.control.schedule`. There is no bus and
 nothing waits: time passes as fast as the machine counts it.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from itertools import repeat
 
 import numpy as np
 
+from adaptdrive.analysis.loop import Loop
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
-from adaptdrive.control import schedule, signals
+from adaptdrive.control import signals
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Reach
 from adaptdrive.runtime import reports, requests, state_machine
@@ -26,60 +27,53 @@ from adaptdrive_sim.world import SimulatedLoad, World
 # A controller in front of a plant, and the runs of both over a course.
 
 
-class Site:
-    """A controller in front of a plant, with or without a wire between them.
+class WorldRig:
+    """A world, with or without a wire between it and its controller.
 
     Attributes:
-        controller: The controller.
         world: The plant.
-        wire: Resolution and delay between them.
+        wire: Resolution and delay.
         sample: What the drive measured at the end of the last half cycle.
-        snapshot: The last snapshot, None before the first.
-        decision: What the slow half made of it.
-        upcoming: Set-points to come that no order has.
+        noise: Measurement noise of the half cycles to come; that of the world where there is none.
     """
 
-    def __init__(self, controller: Controller, world: World, wire: Wire | None = None) -> None:
-        """Put a controller in front of a plant.
+    def __init__(self, world: World, wire: Wire | None = None) -> None:
+        """Take a world as it is.
 
         Args:
-            controller: The controller.
             world: The plant.
-            wire: Resolution and delay between them; none when left out.
+            wire: Resolution and delay; none when left out.
         """
-        self.controller, self.world, self.wire = controller, world, wire
+        self.world, self.wire = world, wire
         self.sample: Sample = world.at_rest()
-        self.snapshot: signals.Snapshot | None = None
-        self.decision: signals.Decision | None = None
-        self.upcoming: tuple[float, ...] = ()
-        self._rates = controller.settings.rates
-        self._schedule = schedule.Schedule(controller, self._rates.latency_ticks)
+        self.noise: Iterator[float] = iter(())
 
     def measure(self, tick: int) -> signals.Measurement:
-        """Return what the controller receives at a tick, which it may ask for once."""
+        """Return what the controller receives at a tick."""
         if self.wire is not None:
             return received(self.wire, tick, self.sample)
         _, tick_period_s, boost_V, line_V, load_W, output, _ = self.sample
         return signals.Measurement(tick, tick_period_s, boost_V, line_V, load_W, output)
 
-    def control(
-        self, measurement: signals.Measurement, order: signals.Order
-    ) -> tuple[signals.Command, bool]:
-        """Run the controller for one tick; return whether it has decided."""
-        command = self._schedule.tick(measurement, order)
-        snapshot = self._schedule.take_snapshot()
-        if snapshot is not None:
-            if self.upcoming:
-                snapshot = replace(snapshot, upcoming=self.upcoming)
-            self.snapshot, self.decision = snapshot, self._schedule.decide(snapshot)
-        return command, snapshot is not None
-
-    def advance(self, command: signals.Command, disturbance: float | None = None) -> None:
-        """Run the plant for one half cycle; the noise is its own unless it is given."""
+    def step(self, command: signals.Command) -> None:
+        """Run the plant for one half cycle."""
         scale_S = command.current_scale_S
         if self.wire is not None:
             scale_S = rounded(scale_S, self.wire.scale_quantum_S)
-        self.sample = self.world.step(scale_S, command.bridge, disturbance)
+        self.sample = self.world.step(scale_S, command.bridge, next(self.noise, None))
+
+
+class Site(Loop[WorldRig]):
+    """A controller in front of a world.
+
+    Attributes:
+        world: The plant.
+    """
+
+    def __init__(self, controller: Controller, world: World, wire: Wire | None = None) -> None:
+        """Put a controller in front of a world, arguments as of `WorldRig`."""
+        super().__init__(controller, WorldRig(world, wire))
+        self.world = world
 
     def rest(self, course: Course) -> None:
         """Put the plant at rest where a course starts, and start the controller on it.
@@ -112,26 +106,28 @@ class Site:
 
     def _run(self, course: Course, run: Run, *, keep_ticks: bool) -> int:
         """Run a course that has begun at rest; return the interlock that has ended it."""
-        world, load = self.world, self.world.load
-        ticks, noise = self._rates.ticks_per_period, course.disturbances.tolist()
-        self.sample = world.step(world.current_scale_S, world.bridge, noise[0])
+        world, ticks = self.world, self.controller.settings.rates.ticks_per_period
+        self.rig.noise = iter(course.disturbances.tolist())
+        self.rig.sample = world.step(world.current_scale_S, world.bridge, next(self.rig.noise))
+        readings = self.readings(
+            self._orders(course, ticks), watch=lambda one: find_cause(one, *course.trips)
+        )
+        for measurement, _, decided in readings:
+            if keep_ticks:
+                run.fast_output.append(world.load.output)
+                run.fast_voltage_V.append(measurement.boost_voltage_V)
+            if decided and self.note(run, measurement.tick // ticks).fault:
+                return CONTROL_FAULT
+        return self.interlock
+
+    def _orders(self, course: Course, ticks: int) -> Iterator[signals.Order]:
+        """Yield the orders of a course; before the first of a slow period its load changes."""
         for k, reference in enumerate(course.references.tolist()):
-            change_plant(load, course, k)
+            change_plant(self.world.load, course, k)
             self.upcoming = course.upcoming(k)
-            order = signals.Order(course.stage(k), reference, course.mode, course.pole)
-            for n in range(k * ticks, (k + 1) * ticks):
-                measurement = self.measure(n)
-                cause = find_cause(measurement, *course.trips)
-                if cause:
-                    return cause
-                if keep_ticks:
-                    run.fast_output.append(load.output)
-                    run.fast_voltage_V.append(measurement.boost_voltage_V)
-                command, decided = self.control(measurement, order)
-                if decided and self.note(run, k).fault:
-                    return CONTROL_FAULT
-                self.advance(command, noise[n + 1])
-        return 0
+            yield from repeat(
+                signals.Order(course.stage(k), reference, course.mode, course.pole), ticks
+            )
 
     def note(self, run: Run, k: int) -> signals.Decision:
         """Fill the row of a slow period in which a decision was made."""
@@ -184,7 +180,7 @@ class OperatedDrive(Site):
         controller = Controller(controller_settings(configuration), build_load(configuration))
         world.shut()
         super().__init__(controller, world)
-        self.sample = world.step(0.0, bridge=False)
+        self.rig.sample = world.step(0.0, bridge=False)
         settings = daemon_settings(configuration)
         self.machine = state_machine.Machine(settings.machine)
         self.ticks = 0
@@ -250,14 +246,14 @@ class OperatedDrive(Site):
             RefusedError: It cannot be done; nothing was changed.
         """
         voltage_V = self._command.boost_reference_V
-        self.machine.carry_out(request, self.ticks, self.sample.output, None, voltage_V)
+        self.machine.carry_out(request, self.ticks, self.rig.sample.output, None, voltage_V)
 
     def tick(self) -> bool:
         """Run one half line cycle; return whether a slow period has ended with it."""
         self.ticks += 1
-        self.time_s += self.sample.tick_period_s
-        self.machine.advance(self.ticks, self.sample.boost_voltage_V)
-        measurement = self.measure(self.ticks)
+        self.time_s += self.rig.sample.tick_period_s
+        self.machine.advance(self.ticks, self.rig.sample.boost_voltage_V)
+        measurement = self.rig.measure(self.ticks)
         command, decided = self.control(measurement, self.machine.order(self.ticks))
         if decided and self.decision is not None:
             self._obey(self.decision)
@@ -267,7 +263,7 @@ class OperatedDrive(Site):
             self.world.shut()
             command, _ = self.control(measurement, self.machine.order(self.ticks))
         self._command = command
-        self.advance(command)
+        self.rig.step(command)
         return decided
 
     @property

@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from adaptdrive.analysis.closed_loop import LoopCourse
+from adaptdrive.analysis.closed_loop import Response
 from adaptdrive.analysis.curves import Quality
 from adaptdrive.app.examine import examine_text
 from adaptdrive.cli import main
@@ -74,10 +74,10 @@ def test_a_file_that_the_settings_no_longer_suit_is_left_as_it_is(tmp_path: Path
     assert not file.with_name("motor.toml.bak").exists()
 
 
-def foreseen(overshoot: float, settling_s: float = 9.0, fault: str = "") -> LoopCourse:
+def foreseen(overshoot: float, settling_s: float = 9.0, fault: str = "") -> Response:
     quality = Quality(1, overshoot, settling_s, 0, 0.1, 1.0, 40.0)
     none = np.zeros(1)
-    return LoopCourse(none, none, none, none, quality, fault)
+    return Response(none, none, none, none, quality, fault)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def foreseen(overshoot: float, settling_s: float = 9.0, fault: str = "") -> Loop
     ],
 )
 def test_a_prediction_that_is_no_good_writes_nothing(
-    proposed: LoopCourse, present: LoopCourse, why: str
+    proposed: Response, present: Response, why: str
 ) -> None:
     refusal = refusal_of(proposed, present)
     assert bool(refusal) == bool(why)

@@ -69,8 +69,9 @@ class _HeldSite(Site):
     """A site with such a controller."""
 
     def __init__(self, site: Site, decide: Decide) -> None:
-        super().__init__(site.controller, site.world, site.wire)
-        self._schedule = Schedule(_FastHalf(site.controller, decide), self._rates.latency_ticks)
+        super().__init__(site.controller, site.world, site.rig.wire)
+        latency_ticks = site.controller.settings.rates.latency_ticks
+        self._schedule = Schedule(_FastHalf(site.controller, decide), latency_ticks)
 
     def note(self, run: Run, k: int) -> Decision:
         """Fill the columns of a slow period that are known."""

@@ -64,7 +64,7 @@ def task_of(stand: DrawnRun) -> Task:
     rates, stage, load = own.settings.rates, own.settings.stage, own.load
     tick_s = own.period_s / rates.ticks_per_period
     limits_V = stage.boost_reference_min_V, stage.boost_reference_max_V
-    wire = stand.site().wire
+    wire = stand.site().rig.wire
     rounding = 0.0 if wire is None else wire.output_quantum / math.sqrt(12.0)
     spread = float(np.std(course.disturbances[1:4000])) / math.sqrt(rates.samples)
     low, high, rest = (

@@ -1,0 +1,248 @@
+"""The daemon's controller in front of a plant, in virtual time.
+
+The order of calls is that of `control.schedule`: nothing waits, and time passes as fast as the
+machine counts it. A command that is computed from the measurement at tick n is latched by the drive
+at the end of the half cycle after it, and acts from tick n+1.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from typing import Generic, Protocol, TypeVar
+
+from adaptdrive.app.settings import controller_settings
+from adaptdrive.config import Configuration
+from adaptdrive.control import signals
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.schedule import Schedule
+from adaptdrive.util.errors import IdentificationError
+
+# A controller in front of a plant, tick after tick.
+
+
+class Rig(Protocol):
+    """A drive with its load, as a controller sees them."""
+
+    def measure(self, tick: int) -> signals.Measurement:
+        """Return what the drive reports at a tick, which is asked for once."""
+
+    def step(self, command: signals.Command) -> None:
+        """Let the time until the next report pass; the drive latches the command at its end."""
+
+
+AnyRig = TypeVar("AnyRig", bound=Rig)
+
+Watch = Callable[[signals.Measurement], int]
+"""Gives the number of the interlock that a measurement trips, 0 for none."""
+
+
+class Loop(Generic[AnyRig]):
+    """A controller in front of a rig.
+
+    Attributes:
+        controller: The controller.
+        rig: The drive with its load.
+        snapshot: The last snapshot, None before the first.
+        decision: What the slow half made of it.
+        upcoming: Set-points to come that no order has.
+        interlock: Number of the interlock that has ended a course, 0 for none.
+    """
+
+    def __init__(self, controller: Controller, rig: AnyRig) -> None:
+        """Put a controller in front of a rig.
+
+        Args:
+            controller: The controller.
+            rig: The drive with its load.
+        """
+        self.controller, self.rig = controller, rig
+        self.snapshot: signals.Snapshot | None = None
+        self.decision: signals.Decision | None = None
+        self.upcoming: tuple[float, ...] = ()
+        self.interlock = 0
+        self._schedule = Schedule(controller, controller.settings.rates.latency_ticks)
+
+    def control(
+        self, measurement: signals.Measurement, order: signals.Order
+    ) -> tuple[signals.Command, bool]:
+        """Run the controller for one tick; return whether it has decided."""
+        command = self._schedule.tick(measurement, order)
+        snapshot = self._schedule.take_snapshot()
+        if snapshot is not None:
+            if self.upcoming:
+                snapshot = replace(snapshot, upcoming=self.upcoming)
+            self.snapshot, self.decision = snapshot, self._schedule.decide(snapshot)
+        return command, snapshot is not None
+
+    def readings(
+        self, course: Iterable[signals.Order], stride: int = 1, watch: Watch = lambda _: 0
+    ) -> Iterator[tuple[signals.Measurement, signals.Order, bool]]:
+        """Run over a course until its end or an interlock.
+
+        Args:
+            course: The order at each reading of the drive.
+            stride: Ticks from one reading to the next.
+            watch: The interlocks.
+
+        Yields:
+            The measurement, the order, and whether the controller has decided, at each reading.
+        """
+        for number, order in enumerate(course):
+            measurement = self.rig.measure(number * stride)
+            self.interlock = watch(measurement)
+            if self.interlock:
+                return
+            command, decided = self.control(measurement, order)
+            yield measurement, order, decided
+            self.rig.step(command)
+
+
+# A plant of the user behind the output stage of a drive.
+
+
+class Plant(Protocol):
+    """A load behind the boost capacitor."""
+
+    def step(self, boost_voltage_V: float, duration_s: float) -> tuple[float, float]:
+        """Advance under a boost voltage.
+
+        Args:
+            boost_voltage_V: Mean boost voltage over the step.
+            duration_s: Length of the step.
+
+        Returns:
+            The output at the end of the step, and the mean power drawn, in W.
+        """
+
+
+class PlantRig:
+    """A plant behind the output stage of a drive.
+
+    Where the daemon controls it, the stage is a boost capacitor on an ideal line, which the
+    rectifier keeps at the line's peak at least. A drive with a loop of its own follows V_c.
+
+    Attributes:
+        voltage_V: v_bst at the end of the last step.
+        output: Output of the plant at the end of the last step.
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        plant: Plant,
+        voltage_V: float | None = None,
+        *,
+        follows: bool = False,
+    ) -> None:
+        """Put a plant behind the output stage of a configuration, and take its first step.
+
+        Args:
+            configuration: The drive.
+            plant: The plant.
+            voltage_V: v_bst at the start; the lowest V_c, or 0 where that is negative, when None.
+            follows: Whether v_bst follows V_c, whoever controls it.
+
+        Raises:
+            IdentificationError: The plant has no step, or returns a value that is not finite.
+        """
+        drive, rates = configuration.drive, controller_settings(configuration).rates
+        self._drive = drive
+        self._follows = follows or configuration.voltage_loop.where == "drive"
+        self._floor_V = -math.inf if self._follows else math.sqrt(2.0) * drive.line_voltage_V
+        step_s = drive.half_cycle_s * configuration.bus.ticks_per_reading
+        lag_s = rates.lag_ticks * rates.nominal_tick_s
+        self._share = -math.expm1(-step_s / lag_s) if lag_s else 1.0
+        self._step_s, self._steps = step_s, 0
+        own_s = getattr(plant, "step_s", None)
+        self._plant = plant if own_s is None else OwnStep(plant, float(own_s))
+        self._latched: signals.Command | None = None
+        start_V = max(0.0, drive.limits.boost_reference_min_V) if voltage_V is None else voltage_V
+        self.voltage_V = max(self._floor_V, start_V)
+        self.output, self._power_W = self._advance(self.voltage_V)
+
+    @property
+    def time_s(self) -> float:
+        """Time so far; the first step of the plant is before it."""
+        return (self._steps - 1) * self._step_s
+
+    def measure(self, tick: int) -> signals.Measurement:
+        """Return what the drive reports at a tick."""
+        line_V, half_cycle_s = self._drive.line_voltage_V, self._drive.half_cycle_s
+        known = self.voltage_V, line_V, self._power_W, self.output
+        return signals.Measurement(tick, half_cycle_s, *known)
+
+    def step(self, command: signals.Command) -> None:
+        """Advance to the next reading under the command before; latch this one.
+
+        Raises:
+            IdentificationError: The plant returns a value that is not finite.
+        """
+        acting, before_V = self._latched or command, self.voltage_V
+        self._latched = command
+        self.voltage_V = max(self._floor_V, self._next_V(acting))
+        self.output, self._power_W = self._advance(0.5 * (before_V + self.voltage_V))
+
+    def _next_V(self, command: signals.Command) -> float:
+        before_V = self.voltage_V
+        if self._follows:
+            return before_V + self._share * (command.boost_reference_V - before_V)
+        fed_W = command.current_scale_S * self._drive.line_voltage_V**2
+        kept_Ws = 2.0 * self._step_s / self._drive.boost_capacitance_F * (fed_W - self._power_W)
+        return math.sqrt(max(0.0, before_V**2 + kept_Ws))
+
+    def _advance(self, voltage_V: float) -> tuple[float, float]:
+        # a plant may count in numpy, whose numbers keep their own precision in all that follows
+        output, power_W = map(float, self._plant.step(voltage_V, self._step_s))
+        if not (math.isfinite(output) and math.isfinite(power_W)):
+            raise IdentificationError(
+                f"step {self._steps} of the plant returned output {output} and power {power_W} W"
+            )
+        self._steps += 1
+        return output, power_W
+
+
+class OwnStep:
+    """Steps a plant at its own rate; between two of its steps its output is held.
+
+    A plant states the rate in an attribute `step_s`, the seconds of one step.
+    """
+
+    def __init__(self, plant: Plant, step_s: float) -> None:
+        """Take a plant.
+
+        Args:
+            plant: The plant.
+            step_s: Length of each of its steps.
+
+        Raises:
+            IdentificationError: That is no length of time.
+        """
+        if not 0.0 < step_s < math.inf:
+            raise IdentificationError(f"step_s of the plant is {step_s}, and must be above 0 s")
+        self._plant, self._step_s = plant, step_s
+        self._elapsed_s = self._fed_Vs = self._due_s = 0.0
+        self._answer: tuple[float, float] | None = None
+
+    def step(self, boost_voltage_V: float, duration_s: float) -> tuple[float, float]:
+        """Advance by as many steps as end until then, under the mean voltage since the last one.
+
+        Args:
+            boost_voltage_V: Mean boost voltage over the time.
+            duration_s: The time.
+
+        Returns:
+            The output at the end of the last step, and the mean power since the one before, in W.
+        """
+        self._elapsed_s += duration_s
+        self._fed_Vs += boost_voltage_V * duration_s
+        self._due_s += duration_s
+        count = math.floor(self._due_s / self._step_s + 1e-9)
+        if self._answer is not None and count <= 0:
+            return self._answer
+        count = max(1, count)  # a slow plant too has an output from the start on
+        mean_V = self._fed_Vs / self._elapsed_s
+        answers = [self._plant.step(mean_V, self._step_s) for _ in range(count)]
+        self._elapsed_s = self._fed_Vs = 0.0
+        self._due_s -= count * self._step_s
+        self._answer = answers[-1][0], sum(power_W for _, power_W in answers) / count
+        return self._answer
