@@ -9,7 +9,7 @@ from itertools import repeat
 
 import numpy as np
 
-from adaptdrive.analysis.loop import Loop
+from adaptdrive.analysis.closed_loop import Loop
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
@@ -19,7 +19,7 @@ from adaptdrive.control.signals import Reach
 from adaptdrive.runtime import reports, requests, state_machine
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import RefusedError
-from adaptdrive_sim.course import PERIODS, Course, Run
+from adaptdrive_sim.course import NO_TRIPS, PERIODS, Course, Run
 from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.wire import CONTROL_FAULT, Wire, find_cause, received, rounded
 from adaptdrive_sim.world import SimulatedLoad, World
@@ -27,53 +27,40 @@ from adaptdrive_sim.world import SimulatedLoad, World
 # A controller in front of a plant, and the runs of both over a course.
 
 
-class WorldRig:
-    """A world, with or without a wire between it and its controller.
+class Site(Loop):
+    """A controller in front of a world, and the wire between them.
 
     Attributes:
         world: The plant.
         wire: Resolution and delay.
         sample: What the drive measured at the end of the last half cycle.
-        noise: Measurement noise of the half cycles to come; that of the world where there is none.
-    """
-
-    def __init__(self, world: World, wire: Wire | None = None) -> None:
-        """Take a world as it is.
-
-        Args:
-            world: The plant.
-            wire: Resolution and delay; none when left out.
-        """
-        self.world, self.wire = world, wire
-        self.sample: Sample = world.at_rest()
-        self.noise: Iterator[float] = iter(())
-
-    def measure(self, tick: int) -> signals.Measurement:
-        """Return what the controller receives at a tick."""
-        if self.wire is not None:
-            return received(self.wire, tick, self.sample)
-        _, tick_period_s, boost_V, line_V, load_W, output, _ = self.sample
-        return signals.Measurement(tick, tick_period_s, boost_V, line_V, load_W, output)
-
-    def step(self, command: signals.Command) -> None:
-        """Run the plant for one half cycle."""
-        scale_S = command.current_scale_S
-        if self.wire is not None:
-            scale_S = rounded(scale_S, self.wire.scale_quantum_S)
-        self.sample = self.world.step(scale_S, command.bridge, next(self.noise, None))
-
-
-class Site(Loop[WorldRig]):
-    """A controller in front of a world.
-
-    Attributes:
-        world: The plant.
     """
 
     def __init__(self, controller: Controller, world: World, wire: Wire | None = None) -> None:
-        """Put a controller in front of a world, arguments as of `WorldRig`."""
-        super().__init__(controller, WorldRig(world, wire))
+        """Put a controller in front of a world as it is.
+
+        Args:
+            controller: The controller.
+            world: The plant.
+            wire: Resolution and delay; one without either when left out.
+        """
+        super().__init__(controller)
         self.world = world
+        self.sample: Sample = world.at_rest()
+        self.wire = wire or Wire([self.sample.output])
+        self._noise: Iterator[float] = iter(())
+        self._trips = NO_TRIPS
+
+    def measure(self, tick: int) -> signals.Measurement:
+        """Return what the controller receives at a tick."""
+        measurement = received(self.wire, tick, self.sample)
+        self.interlock = find_cause(measurement, *self._trips)
+        return measurement
+
+    def step(self, command: signals.Command) -> None:
+        """Run the plant for one half cycle; the noise is its own outside of a course."""
+        scale_S = rounded(command.current_scale_S, self.wire.scale_quantum_S)
+        self.sample = self.world.step(scale_S, command.bridge, next(self._noise, None))
 
     def rest(self, course: Course) -> None:
         """Put the plant at rest where a course starts, and start the controller on it.
@@ -107,12 +94,10 @@ class Site(Loop[WorldRig]):
     def _run(self, course: Course, run: Run, *, keep_ticks: bool) -> int:
         """Run a course that has begun at rest; return the interlock that has ended it."""
         world, ticks = self.world, self.controller.settings.rates.ticks_per_period
-        self.rig.noise = iter(course.disturbances.tolist())
-        self.rig.sample = world.step(world.current_scale_S, world.bridge, next(self.rig.noise))
-        readings = self.readings(
-            self._orders(course, ticks), watch=lambda one: find_cause(one, *course.trips)
-        )
-        for measurement, _, decided in readings:
+        self._trips = course.trips
+        self._noise = iter(course.disturbances.tolist())
+        self.sample = world.step(world.current_scale_S, world.bridge, next(self._noise))
+        for measurement, _, decided in self.readings(self._orders(course, ticks)):
             if keep_ticks:
                 run.fast_output.append(world.load.output)
                 run.fast_voltage_V.append(measurement.boost_voltage_V)
@@ -180,7 +165,7 @@ class OperatedDrive(Site):
         controller = Controller(controller_settings(configuration), build_load(configuration))
         world.shut()
         super().__init__(controller, world)
-        self.rig.sample = world.step(0.0, bridge=False)
+        self.sample = world.step(0.0, bridge=False)
         settings = daemon_settings(configuration)
         self.machine = state_machine.Machine(settings.machine)
         self.ticks = 0
@@ -246,14 +231,14 @@ class OperatedDrive(Site):
             RefusedError: It cannot be done; nothing was changed.
         """
         voltage_V = self._command.boost_reference_V
-        self.machine.carry_out(request, self.ticks, self.rig.sample.output, None, voltage_V)
+        self.machine.carry_out(request, self.ticks, self.sample.output, None, voltage_V)
 
     def tick(self) -> bool:
         """Run one half line cycle; return whether a slow period has ended with it."""
         self.ticks += 1
-        self.time_s += self.rig.sample.tick_period_s
-        self.machine.advance(self.ticks, self.rig.sample.boost_voltage_V)
-        measurement = self.rig.measure(self.ticks)
+        self.time_s += self.sample.tick_period_s
+        self.machine.advance(self.ticks, self.sample.boost_voltage_V)
+        measurement = self.measure(self.ticks)
         command, decided = self.control(measurement, self.machine.order(self.ticks))
         if decided and self.decision is not None:
             self._obey(self.decision)
@@ -263,7 +248,7 @@ class OperatedDrive(Site):
             self.world.shut()
             command, _ = self.control(measurement, self.machine.order(self.ticks))
         self._command = command
-        self.rig.step(command)
+        self.step(command)
         return decided
 
     @property

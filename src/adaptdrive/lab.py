@@ -19,8 +19,7 @@ from adaptdrive.recording.session import SessionInfo
 from adaptdrive.util.errors import RefusedError
 
 if TYPE_CHECKING:  # they need libraries that `Drive` does without
-    from adaptdrive.analysis.closed_loop import Simulation
-    from adaptdrive.analysis.loop import Plant
+    from adaptdrive.analysis.closed_loop import Plant, Simulation
     from adaptdrive.analysis.record import RecordLoad
     from adaptdrive.commissioning.evaluation import Commissioned
 

@@ -347,7 +347,7 @@ class VirtualStage:
 
     def _report(self) -> None:
         """Publish what the fast loop measures, and the truth."""
-        sample = self.drive.rig.sample
+        sample = self.drive.sample
         content = {name: getattr(sample, name) for name in MEASURED}
         counts = {"ticks": self.drive.ticks, "missed": 0, "held": 0, "age_s": 0.0}
         self._publish("telemetry/drive", {"time": self._now, **content, **counts})

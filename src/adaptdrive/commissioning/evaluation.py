@@ -222,7 +222,7 @@ def predict(
     plant = IdentifiedPlant(identified, load, period_s, (rest_V, rest), power)
     course = [held] * (_PERIODS_BEFORE * samples) + [stepped] * (after * samples)
     run = simulate(configuration, plant, course, rest_V)
-    middles = np.arange(0.5, len(run.ticks) // samples)
+    middles = np.arange(0.5, len(run.columns["output"]) // samples)
     time_s = (middles - _PERIODS_BEFORE) * section.period_s
     return response_of(run.columns, samples, time_s, section, run.fault)
 

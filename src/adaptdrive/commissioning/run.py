@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from adaptdrive.analysis.loop import Plant, PlantRig
+from adaptdrive.analysis.closed_loop import Plant, PlantLoop
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.process import LockedError, locked
 from adaptdrive.commissioning import client, evaluation, picture, proposal
@@ -224,13 +224,13 @@ def _samples(
     configuration: root.Configuration, plant: Plant
 ) -> Callable[[float], tuple[float, float, float]]:
     """Return what advances a plant by a sample under V_c: to its time, boost voltage and output."""
-    rig = PlantRig(configuration, plant, follows=True)
+    loop = PlantLoop(configuration, plant, follows=True)
     count = max(1, round(_SAMPLE_S / timing_of(configuration).reading_s))
 
     def sample(voltage_V: float) -> tuple[float, float, float]:
         for _ in range(count):
-            rig.step(Command(0.0, voltage_V, bridge=True))
-        return rig.time_s, rig.voltage_V, rig.output
+            loop.step(Command(0.0, voltage_V, bridge=True))
+        return loop.time_s, loop.voltage_V, loop.output
 
     return sample
 

@@ -69,7 +69,7 @@ class _HeldSite(Site):
     """A site with such a controller."""
 
     def __init__(self, site: Site, decide: Decide) -> None:
-        super().__init__(site.controller, site.world, site.rig.wire)
+        super().__init__(site.controller, site.world, site.wire)
         latency_ticks = site.controller.settings.rates.latency_ticks
         self._schedule = Schedule(_FastHalf(site.controller, decide), latency_ticks)
 
