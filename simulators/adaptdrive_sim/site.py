@@ -11,7 +11,7 @@ import numpy as np
 
 from adaptdrive.analysis.closed_loop import Loop
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, machine_limits
 from adaptdrive.config.root import Configuration
 from adaptdrive.control import signals
 from adaptdrive.control.controller import Controller
@@ -166,8 +166,7 @@ class OperatedDrive(Site):
         world.shut()
         super().__init__(controller, world)
         self.sample = world.step(0.0, bridge=False)
-        settings = daemon_settings(configuration)
-        self.machine = state_machine.Machine(settings.machine)
+        self.machine = state_machine.Machine(machine_limits(configuration))
         self.ticks = 0
         self.time_s = 0.0
         self.completed = False

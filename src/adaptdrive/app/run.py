@@ -28,7 +28,12 @@ import msgspec
 
 from adaptdrive import __version__, build_name
 from adaptdrive.app import examine, loads, ports, process, recording, reload
-from adaptdrive.app.settings import controller_settings, daemon_settings, operator_profile
+from adaptdrive.app.settings import (
+    controller_settings,
+    fast_settings,
+    machine_limits,
+    operator_profile,
+)
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
@@ -271,7 +276,9 @@ async def _run(
     daemon = Daemon(
         port=port,
         controller=controller,
-        settings=daemon_settings(configuration),
+        configuration=configuration,
+        machine=machine_limits(configuration),
+        fast=fast_settings(configuration),
         clock=clock.now_s,
         hub=hub,
         manager=tick_support.ServiceManager(os.environ),

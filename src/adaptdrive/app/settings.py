@@ -24,7 +24,7 @@ from adaptdrive.control.settings import (
 )
 from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.mqtt.contract import Output, Profile
-from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings, MachineLimits
+from adaptdrive.runtime.settings import FastLoopSettings, MachineLimits
 from adaptdrive.safety import frames, plausibility
 from adaptdrive.safety.interlocks import Limits
 from adaptdrive.safety.timing import timing_of
@@ -106,17 +106,6 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
         else SupervisionLimits(_periods(configuration, warm_up_s)),
         probing=_probing(configuration),
         govern=load.govern,
-    )
-
-
-def daemon_settings(configuration: Configuration) -> DaemonSettings:
-    """Return all settings of the runtime."""
-    return DaemonSettings(
-        refused_share=configuration.interlocks.refused_share,
-        machine=_machine_limits(configuration),
-        fast=_fast_loop(configuration),
-        report_s=1.0 / configuration.mqtt.telemetry_Hz,
-        realtime=configuration.realtime,
     )
 
 
@@ -251,7 +240,8 @@ def _periods(configuration: Configuration, time_s: float) -> int:
     return math.ceil(time_s / configuration.load.period_s)
 
 
-def _machine_limits(configuration: Configuration) -> MachineLimits:
+def machine_limits(configuration: Configuration) -> MachineLimits:
+    """Return the limits of an operator's requests."""
     load, drive = configuration.load, configuration.drive
     settings, model = controller_settings(configuration), build_load(configuration)
     pole_min, pole_max = loads.pole_range(settings, model, load)
@@ -269,7 +259,8 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
     )
 
 
-def _fast_loop(configuration: Configuration) -> FastLoopSettings:
+def fast_settings(configuration: Configuration) -> FastLoopSettings:
+    """Return the settings of the fast loop."""
     bus = configuration.bus
     return FastLoopSettings(
         latency_ticks=configuration.load.latency_ticks,
@@ -307,7 +298,7 @@ def paper_learning(configuration: Configuration) -> EstimatorSettings:
 def operator_profile(configuration: Configuration) -> Profile:
     """Return names, units and limits of a drive, which operators need in addition to its state."""
     load, drive = configuration.load, configuration.drive.limits
-    trips, machine = trip_limits(configuration), daemon_settings(configuration).machine
+    trips, machine = trip_limits(configuration), machine_limits(configuration)
     return Profile(
         drive=configuration.drive.name,
         output=Output(load.output_name, load.output_unit),

@@ -7,7 +7,6 @@ from typing import Protocol
 
 from adaptdrive.config.load import LoadSection
 from adaptdrive.config.root import DriveSection
-from adaptdrive.config.services import Realtime
 from adaptdrive.control.signals import UNKNOWN, Decision, Reach, Snapshot
 from adaptdrive.runtime import reports
 from adaptdrive.safety import plausibility
@@ -218,25 +217,6 @@ class FastLoopSettings:
     watches: tuple[Callable[[], plausibility.Watch], ...] = ()
     drive_clocks: bool = True
     charges_capacitor: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class DaemonSettings:
-    """Settings of the runtime.
-
-    Attributes:
-        machine: Operator's limits.
-        fast: The fast loop.
-        report_s: Time between two drive reports.
-        realtime: How hard the fast loop is protected from the rest of the machine.
-        refused_share: Share of refused frames that trips the drive, 0 for none.
-    """
-
-    machine: MachineLimits
-    fast: FastLoopSettings
-    report_s: float
-    realtime: Realtime
-    refused_share: float = 0.0
 
 
 class LoopServices(Protocol):

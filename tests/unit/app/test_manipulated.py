@@ -14,7 +14,7 @@ from rich.console import Console
 
 from adaptdrive.app.examine import advice, examine_text
 from adaptdrive.app.ports import build_port, bus_kind
-from adaptdrive.app.settings import daemon_settings, operator_profile, trip_limits
+from adaptdrive.app.settings import machine_limits, operator_profile, trip_limits
 from adaptdrive.cli.display import describe
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command, Reach
@@ -59,7 +59,7 @@ def test_texts_have_its_name_and_unit() -> None:
     assert cause.text == "drive above its limit: frequency = 56.0 Hz, limit 55 Hz"
     assert "scale" in remedy(cause.kind)
     with pytest.raises(RefusedError, match=r"60 Hz is outside 0…50 Hz"):
-        daemon_settings(configuration).machine.require_voltage(60.0, None)
+        machine_limits(configuration).require_voltage(60.0, None)
 
 
 UNTRUE = re.compile(r"V_c|v_bst|boost voltage|(?<!_)\bV\b|/V\b")
@@ -67,7 +67,7 @@ UNTRUE = re.compile(r"V_c|v_bst|boost voltage|(?<!_)\bV\b|/V\b")
 
 def leaving(configuration: Configuration) -> Iterator[str]:
     """Yield what operators, figures, records and other programs are told of a drive."""
-    machine, profile = daemon_settings(configuration).machine, operator_profile(configuration)
+    machine, profile = machine_limits(configuration), operator_profile(configuration)
     for refuse in (
         lambda: machine.require_voltage(1e3, None),
         lambda: machine.require_reach("setpoint", 1e3, Reach(0.0, 5.0)),

@@ -8,7 +8,7 @@ import tomllib
 import pytest
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, machine_limits
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.settings import EstimatorSettings, SupervisionLimits
 from tests.unit.config.documents import parse
@@ -115,4 +115,4 @@ def test_a_start_waits_for_its_rate_as_long_as_a_steady_drive_may_take_to_show_i
         interlocks__precharge_timeout_s=timeout_s,
         interlocks__stale_s="1.0",
     )
-    assert daemon_settings(configuration).machine.rate_s == pytest.approx(longest_s)
+    assert machine_limits(configuration).rate_s == pytest.approx(longest_s)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.app.settings import daemon_settings
+from adaptdrive.app.settings import fast_settings
 from adaptdrive.safety.timing import Timing
 from tests.unit.devices.canopen.documents import bus_of, flaws, parse
 from tests.unit.runtime.bench import FAST, running_bench
@@ -35,7 +35,7 @@ def test_a_time_out_that_ends_between_two_commands_is_refused() -> None:
 async def test_a_daemon_that_slept_for_longer_than_the_drive_misses_its_heartbeat_waits() -> None:
     """A single command ends a quick stop, into which the drive may have gone meanwhile."""
     watched = {"bus/heartbeat_s": 0.01, "bus/heartbeat_timeout_s": 0.04}
-    timing = daemon_settings(parse({**watched, "interlocks/stale_s": 0.1})).fast.timing
+    timing = fast_settings(parse({**watched, "interlocks/stale_s": 0.1})).timing
     async with running_bench(replace(FAST, timing=timing), frames=10) as bench:
         deadline_s, known = bench.around.deadline_s, len(bench.sent)
         bench.around.now = deadline_s + 0.04
