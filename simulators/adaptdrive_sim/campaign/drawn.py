@@ -18,6 +18,7 @@ from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive_sim.campaign.settings import Range, WholeRange
 from adaptdrive_sim.course import Array, Course, Run, follow_ideal
+from adaptdrive_sim.experiments.case import from_rest
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.boost import LineParameters
 from adaptdrive_sim.site import Site
@@ -46,6 +47,14 @@ def deploy(name: str, tables: dict[str, Any] | None = None) -> Deployed:
     limits, section = configuration.interlocks, configuration.load
     trips = limits.boost_voltage_max_V, limits.output_max
     return Deployed(settings, load, trips, section.pole, section.period_s)
+
+
+WARM_UP_s = 90.0
+
+
+def at_rest(own: Deployed) -> Deployed:
+    """Return the same for a run that starts at rest."""
+    return replace(own, settings=from_rest(own.settings, WARM_UP_s, own.period_s))
 
 
 @dataclass(frozen=True, slots=True)

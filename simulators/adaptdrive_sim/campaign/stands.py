@@ -11,7 +11,6 @@ from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Shape, Waveform
 from adaptdrive_sim.campaign import drawn, settings
 from adaptdrive_sim.course import Array, Course, moving
-from adaptdrive_sim.experiments.case import from_rest
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
@@ -194,18 +193,10 @@ def draw(campaign: settings.Campaign, seed: int) -> Scenario:
     )
 
 
-WARM_UP_s = 90.0
-
-
 @cache
 def deployed() -> drawn.Deployed:
     """The example configuration, for a run that starts at rest."""
-    return at_rest(drawn.deploy("motor.toml"))
-
-
-def at_rest(own: drawn.Deployed) -> drawn.Deployed:
-    """Return the same for a run that starts at rest."""
-    return replace(own, settings=from_rest(own.settings, WARM_UP_s, own.period_s))
+    return drawn.at_rest(drawn.deploy("motor.toml"))
 
 
 class Stand(drawn.DrawnRun):

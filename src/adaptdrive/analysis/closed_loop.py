@@ -9,21 +9,19 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from adaptdrive.analysis.curves import Array, Quality, quality_of
+from adaptdrive.analysis.curves import Array
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
-from adaptdrive.config.load import AnyLoad
 from adaptdrive.control import signals
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.schedule import Schedule
-from adaptdrive.identification.excerpt import means_of
 from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.errors import IdentificationError
 
@@ -356,51 +354,3 @@ def _slow_row(
         **{f"estimate_{name}": one.value for name, one in decision.estimates.items()},
         **{f"estimate_{name}_std": one.std for name, one in decision.estimates.items()},
     }
-
-
-# The response of a loop, simulated or recorded, as means over slow periods.
-
-_RESPONSE = ("reference", "output", "boost_voltage_V")
-
-
-@dataclass(frozen=True, slots=True)
-class Response:
-    """Response of a loop, as means over slow periods.
-
-    Attributes:
-        time_s: Time of each slow period.
-        reference: Set-point at its end.
-        output: The regulated quantity.
-        boost_voltage_V: v_bst.
-        quality: Judgement of it.
-        fault: Cause that ended it early, empty for none.
-    """
-
-    time_s: Array
-    reference: Array
-    output: Array
-    boost_voltage_V: Array
-    quality: Quality
-    fault: str = ""
-
-
-def response_of(
-    columns: Mapping[str, Array], samples: int, time_s: Array, section: AnyLoad, fault: str = ""
-) -> Response:
-    """Return the response of a loop.
-
-    Args:
-        columns: Set-point, output and boost voltage at each reading; those before the first slow
-            period are left out.
-        samples: Readings in a slow period.
-        time_s: Time of each slow period.
-        section: The load, with its slow period and the range of its set-points.
-        fault: Cause that ended the loop early, empty for none.
-    """
-    first = (len(columns["output"]) // samples - len(time_s)) * samples
-    reference, output, volts = (columns[name][first:] for name in _RESPONSE)
-    reference = reference[samples - 1 :: samples]
-    output, volts = means_of(output, samples), means_of(volts, samples)
-    span = section.reference_max - section.reference_min
-    quality = quality_of(reference, output, volts, section.period_s, span)
-    return Response(time_s, reference, output, volts, quality, fault)

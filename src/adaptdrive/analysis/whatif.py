@@ -11,8 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import closed_loop, curves, excerpts, figures, load_report
-from adaptdrive.analysis.closed_loop import Response
-from adaptdrive.analysis.curves import Array
+from adaptdrive.analysis.curves import Array, Response, response_of
 from adaptdrive.analysis.record import SessionLoad, identify_session
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
@@ -151,7 +150,7 @@ def _response(
     ends_s = stretch.begin_s + samples * stretch.period_s * ends
     first = int(np.argmax(ends_s > begin_s))
     section = found.configuration.load
-    return closed_loop.response_of(ticks, samples, ends_s[first:], section, fault)
+    return response_of(ticks, samples, ends_s[first:], section, fault)
 
 
 # A session and the same with other settings, as a table, as values, and as a figure.

@@ -12,7 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import figures, load_report
-from adaptdrive.analysis.closed_loop import Response, response_of, simulate
+from adaptdrive.analysis.closed_loop import simulate
+from adaptdrive.analysis.curves import Response, response_of
 from adaptdrive.analysis.excerpts import IdentifiedPlant
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.commissioning.course import Outcome, Samples

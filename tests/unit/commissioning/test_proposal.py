@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from adaptdrive.analysis.closed_loop import Response
+from adaptdrive.analysis.curves import Response
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.commissioning.course import Samples

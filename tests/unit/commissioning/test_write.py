@@ -15,8 +15,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from adaptdrive.analysis.closed_loop import Response
-from adaptdrive.analysis.curves import Quality
+from adaptdrive.analysis.curves import Quality, Response
 from adaptdrive.app.examine import examine_text
 from adaptdrive.cli import main
 from adaptdrive.commissioning.evaluation import Commissioned, refusal_of

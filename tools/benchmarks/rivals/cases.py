@@ -15,8 +15,8 @@ from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive_sim.campaign.batteries import ideal_current
-from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Row, deploy
-from adaptdrive_sim.campaign.stands import BathScenario, BathStand, Life, Scenario, Stand, at_rest
+from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Row, at_rest, deploy
+from adaptdrive_sim.campaign.stands import BathScenario, BathStand, Life, Scenario, Stand
 from adaptdrive_sim.course import NO_TRIPS, Course
 from adaptdrive_sim.parameters import example_tables
 from adaptdrive_sim.plants.bath import BathParameters
