@@ -80,7 +80,6 @@ def measure(
             configured = {
                 "drive.name": f'"d{i}"',
                 "recording.enabled": str(recording).lower(),
-                "realtime.late_us": "4000.0",
                 **(changes or {}),
             }
             home = folder / f"d{i}"

@@ -54,7 +54,6 @@ async def main(duration_s: float, priority: int, *, awake: bool) -> list[float]:
     around.timer = TickTimer(asyncio.get_running_loop(), on_deadline)
     wanted = Realtime(
         priority=priority or None,
-        lock_memory=bool(priority),
         cpu_latency_us=0 if awake else None,
     )
     with real_time(wanted):

@@ -135,7 +135,7 @@ def _facts(configuration: Configuration) -> Iterator[Fact]:
     yield from _capacitor(configuration)
     yield from _reach(configuration, machine.reach)
     poles = f"{machine.pole_min:g}…{machine.pole_max:g}"
-    yield "poles an operator may ask for", poles, "load.pole_min, load.pole_max, load.model"
+    yield "poles an operator may ask for", poles, "load.pole, load.model"
     yield from _response(loads.response_limits(configuration))
 
 

@@ -265,7 +265,7 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
         segment_s=recording.segment_s,
         keep=records.Keep(recording.keep_days, None if size is None else round(size * 1e6)),
     )
-    pace = records.Pace(flush_s=recording.flush_s, start_thread=start_thread)
+    pace = records.Pace(start_thread=start_thread)
     clock = lambda: (now_s(), time.time())  # noqa: E731
     return recorder.Recorder(*place_of(configuration), header, hub, clock, pace, recalled)
 

@@ -67,8 +67,6 @@ class FrameIntegrity(Section):
 
     counter: str | None = key(None, min_length=1)
     """signal with the alive counter"""
-    max_jump: int = key(3, ge=1)
-    """largest accepted advance of the alive counter"""
     checksum: str | None = key(None, min_length=1)
     """signal with the checksum"""
     algorithm: Literal["sae-j1850", "autosar-p01", "crc"] = "sae-j1850"

@@ -16,7 +16,6 @@ class PowerStage:
         boost_reference_min_V: Lowest V_c.
         boost_reference_max_V: Highest V_c.
         load_power_max_W: Load power above which V_c is held back.
-        feed_forward: Whether the load power is fed forward.
         holds_voltage: True for a drive with its own voltage loop.
         boost_needs_bridge: True for a drive whose boost stage works only with the bridge on.
         kick_ticks: Length of each part of a kick (`impulse_hold`); 0 to hold V_c.
@@ -31,7 +30,6 @@ class PowerStage:
     boost_reference_min_V: float
     boost_reference_max_V: float
     load_power_max_W: float
-    feed_forward: bool
     holds_voltage: bool
     boost_needs_bridge: bool = False
     kick_ticks: int = 0
@@ -180,7 +178,6 @@ class ControllerSettings:
         learning: The estimator.
         supervision: The supervisor.
         probing: The probing, off by default.
-        govern: Whether set-points are moved into what V_c can hold.
     """
 
     exact: bool
@@ -189,4 +186,3 @@ class ControllerSettings:
     learning: EstimatorSettings
     supervision: SupervisionLimits
     probing: Probing = field(default_factory=Probing)
-    govern: bool = False

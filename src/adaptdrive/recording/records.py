@@ -133,7 +133,7 @@ class Pace:
         start_thread: What a thread that writes does first.
     """
 
-    flush_s: float = 0.25
+    flush_s: float = 0.2
     backlog_bytes: int = 4 << 20
     close_s: float = 8.0
     trip_s: float = 10.0

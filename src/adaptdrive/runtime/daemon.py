@@ -101,9 +101,7 @@ class Daemon:
         loop = asyncio.get_running_loop()
         self._failure = loop.create_future()
         self._timer = TickTimer(loop, self._on_deadline)
-        self._support = tick_support.TickSupport(
-            self._configuration.realtime, self._warn, self._clock
-        )
+        self._support = tick_support.TickSupport(self._warn, self._clock)
         self._hub.publish(self._announcer.published)
         try:
             async with asyncio.TaskGroup() as tasks:

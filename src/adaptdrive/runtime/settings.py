@@ -134,11 +134,11 @@ class MachineLimits:
         _require(what, value, load.reference_min, load.reference_max, f" {load.output_unit}")
 
     def require_reach(self, what: str, value: float, reach: Reach) -> None:
-        """Refuse a set-point that V_c cannot hold, unless it is governed.
+        """Refuse a set-point that V_c cannot hold.
 
         Arguments as of `require_reference`.
         """
-        if not (self.load.govern or can_hold(reach, value)):
+        if not can_hold(reach, value):
             unit, why = f" {self.load.output_unit}", f", which {self.drive.given.symbol} can hold"
             _require(what, value, reach.low, reach.high, unit, why)
 

@@ -65,7 +65,6 @@ STAGE = PowerStage(
     boost_reference_min_V=200.0,
     boost_reference_max_V=400.0,
     load_power_max_W=1500.0,
-    feed_forward=True,
     holds_voltage=False,
 )
 RATES = Rates(

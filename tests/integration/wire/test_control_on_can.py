@@ -119,10 +119,8 @@ PAPER: Changes = {
         "warm_up_s": 4.0,
         "ratio_min": 0.99,
         "ratio_max": 1.01,
-        "spread_max": 1e-9,
-        "dwell_periods": 1000,
     },
-    "estimator": {"settle_s": 1000.0, "gate": 1e6},
+    "estimator": {"settle_s": 1000.0},
 }
 
 

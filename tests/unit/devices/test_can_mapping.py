@@ -77,7 +77,6 @@ OF_BRIDGE = [
 OF_INTEGRITY: list[tuple[dict[str, object], str, str]] = [
     ({"counter": "Alive"}, ".counter", "'Alive'"),
     ({"counter": "Tachometer"}, ".counter", "cannot count"),
-    ({"max_jump": 16}, ".max_jump", "16 must be below"),
     ({"checksum": "LoadCurrent"}, ".checksum", "one whole byte"),
     ({"counter": "LoadCrc"}, "", "both counter and checksum"),
 ]

@@ -17,7 +17,13 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.devices.can import layout
-from adaptdrive.devices.can.integrity import AliveCounter, FrameVerdict, checksum_function, covered
+from adaptdrive.devices.can.integrity import (
+    MAX_JUMP,
+    AliveCounter,
+    FrameVerdict,
+    checksum_function,
+    covered,
+)
 from adaptdrive.devices.field import Raw
 
 _UNPROTECTED = FrameIntegrity()
@@ -88,7 +94,7 @@ class MessageCodec:
         modulus = layout.counter_modulus(self._fields[self._counter]) if self._counter else 1
         self._modulus = modulus
         self._next = 0
-        self._alive = AliveCounter(modulus, integrity.max_jump, cycle_s)
+        self._alive = AliveCounter(modulus, min(MAX_JUMP, modulus - 1), cycle_s)
         self._data = b""
         self._checksum = checksum_function(integrity)
         checksum = integrity.checksum

@@ -265,10 +265,6 @@ class SignalCatalogue(binding.Catalogue[Located]):
             if item is None:
                 continue
             self.note(f"{place}.{key}", self._proof_problem(key, item, integrity))
-            modulus = layout.counter_modulus(layout.compile_field(item.signal))
-            jump = integrity.max_jump
-            if key == "counter" and jump >= modulus:
-                self.note(f"{place}.max_jump", f"{jump} must be below its {modulus} values")
         for key, problem in _form_flaws(message, integrity):
             self.note(f"{place}{key}", problem)
 
