@@ -43,7 +43,7 @@ _MEANING: dict[str, Any] = {
 }
 """Keys of measurement, drive and input; `adaptdrive commission` changes none of them."""
 
-_DESCRIPTIONS = ("database", "databases", "eds")
+_DESCRIPTIONS = ("database", "eds")
 """Keys of a bus that name a file in which scales and offsets of its signals are."""
 
 _PLACES: Any = {"bus": set(_DESCRIPTIONS), "sensor_bus": {"__all__": set(_DESCRIPTIONS)}}

@@ -191,7 +191,6 @@ def _learning(configuration: Configuration) -> EstimatorSettings:
     physical = METHODS[estimator.method].physical
     return EstimatorSettings(
         tau_lambda_s=estimator.tau_lambda_s,
-        dead_band=estimator.dead_band,
         gate=_GATE,
         alert=True,
         initial_state=True,
@@ -308,7 +307,6 @@ def paper_learning(configuration: Configuration) -> EstimatorSettings:
         method=estimator.method,
         forgetting=estimator.forgetting or load.traits.paper_forgetting,
         tau_lambda_s=estimator.tau_lambda_s,
-        dead_band=estimator.dead_band,
         initial_covariance=PAPER_COVARIANCE,
         bias=load.traits.charges,
     )

@@ -51,9 +51,9 @@ class LoadSection(section.Section):
     traits: ClassVar[LoadTraits] = LoadTraits()
     rising: ClassVar = ("reference_min", "reference_max")
 
-    period_s: Period = 1.0
+    period_s: Period
     """slow period T_k, a whole number of half line cycles"""
-    pole: section.Fraction = 0.70
+    pole: section.Fraction
     """closed-loop pole of the load loop; `check` shows the poles that an operator may ask for"""
     design: Literal["exact", "paper"] = "exact"
     """`exact`: held input, delays and filter in the model; `paper`: the paper's controller and
@@ -74,9 +74,9 @@ class LoadSection(section.Section):
     """distance by which a constant set-point is moved to learn the load in mode adaptive, as a
     share of the set-point range (of a charging current: lowered by a share of itself); 0: never
     (`exact` and `lm-rls` only)"""
-    output_name: str = "output"
+    output_name: str
     """name of the output for people"""
-    output_unit: str = ""
+    output_unit: str
     """unit of the output for people"""
 
 
@@ -100,8 +100,6 @@ class MotorSection(LoadSection):
 
     type: Literal["motor"]
     """kind of load"""
-    output_name: str = "speed"
-    output_unit: str = "V"
     boost_course: Literal["held", "impulse"] = "held"
     """`impulse`: each change of V_c is exaggerated for half a slow period, as the `paper` design
     assumes"""
@@ -148,11 +146,7 @@ class BathSection(LoadSection):
 
     type: Literal["bath"]
     """kind of load"""
-    period_s: Period = 20.0
-    pole: section.Fraction = 0.80
     samples: int = section.key(600, ge=1)
-    output_name: str = "temperature"
-    output_unit: str = "K"
     model: BathModel
 
     def flaws(self) -> Iterator[Flaw]:
@@ -199,8 +193,6 @@ class BatterySection(LoadSection):
 
     type: Literal["battery"]
     """kind of load"""
-    output_name: str = "current"
-    output_unit: str = "A"
     model: BatteryModel
     charge: Charge
 
@@ -220,9 +212,6 @@ class Estimator(section.Section):
     tau_lambda_s: section.PositiveFloat = 10.0
     """time constant of the λ filters: half the sum of the load's time constants; longer against
     noise"""
-    dead_band: float = section.key(0.0, ge=0.0)
-    """movement of the output between two slow samples, in its unit, below which the estimate is not
-    updated"""
     bias: bool = True
     """estimate a constant too, such as a load torque (`exact` only); a battery always has one"""
     settle_s: section.Duration = 30.0

@@ -66,7 +66,6 @@ class EstimatorSettings:
         method: Name of the estimation method (`direct.METHODS`).
         forgetting: ρ.
         tau_lambda_s: τ_λ.
-        dead_band: No update while the output moves less than this between slow samples.
         initial_covariance: p0.
         settle_periods: Slow periods after start before the first update.
         gate: Update only on samples with rᵀPr above this multiple of 1 - ρ; 0 takes every sample.
@@ -86,7 +85,6 @@ class EstimatorSettings:
     method: str
     forgetting: float
     tau_lambda_s: float
-    dead_band: float
     initial_covariance: float
     settle_periods: int = 0
     gate: float = 0.0

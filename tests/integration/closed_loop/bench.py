@@ -74,7 +74,6 @@ PLAIN_LEARNING = EstimatorSettings(
     method="lm-rls",
     forgetting=0.97,
     tau_lambda_s=10.0,
-    dead_band=0.0,
     initial_covariance=1e4,
     settle_periods=0,
     gate=0.0,

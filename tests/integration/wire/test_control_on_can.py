@@ -240,7 +240,7 @@ async def test_half_of_a_message_refused_is_reported_once_and_trips_beyond_a_sha
     free_udp_port: int, share: float
 ) -> None:
     """The drive's frames carry another data id than the daemon's description in turn."""
-    integrity = {"algorithm": "autosar-p01", "data_id": 0x0102, "data_id_mode": "low"}
+    integrity = {"data_id": 0x0102, "data_id_mode": "low"}
     changes: Changes = {
         "bus.integrity.DriveStatus": integrity,
         "interlocks": {"stale_s": 1.0, "refused_share": share},

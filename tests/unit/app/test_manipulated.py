@@ -142,7 +142,7 @@ command_timeout_s = 0.5
 boost_voltage_V = "Torque.Torque_Feedback"
 output = { signal = "Motion.Motor_Speed", unit = "rpm" }
 bridge = "States.Inverter_Enable_State"
-faults = ["Faults.Post_Fault_Lo", "Faults.Run_Fault_Lo"]
+fault = ["Faults.Post_Fault_Lo", "Faults.Run_Fault_Lo"]
 [signals.command]
 boost_reference_V = "Command.Torque_Command"
 bridge = "Command.Inverter_Enable"
@@ -191,6 +191,6 @@ def test_a_torque_inverter_on_can_is_described_by_a_file_with_flaws(tmp_path: Pa
     assert "line 16: a name that begins with a digit" in cautions
     assert any(one.startswith("line 16: signal '_5V_Rail' does not fit") for one in cautions)
     limits = {name for name, _, _ in bus_kind("can").time_limits(configuration, path)}
-    assert {"stale output", "stale faults.0", "stale faults.1"} <= limits
+    assert {"stale output", "stale fault.0", "stale fault.1"} <= limits
     probed = build_port(configuration, lambda: 0.0, path, passive=True)
     assert probed.monitor.slack_s is not None

@@ -62,7 +62,6 @@ def test_the_papers_design_has_the_papers_numbers_and_no_limits() -> None:
         method="lm-rls",
         forgetting=0.97,
         tau_lambda_s=10.0,
-        dead_band=0.0,
         initial_covariance=1.0e4,
         settle_periods=0,
         gate=0.0,

@@ -30,6 +30,10 @@ from adaptdrive.util.errors import RefusedError
 from tests.support import a_trip, text_of
 
 LOAD = MotorSection(
+    period_s=1.0,
+    pole=0.7,
+    output_name="speed",
+    output_unit="V",
     type="motor",
     reference_max=4.5,
     model=MotorModel(gain=0.011, tau_motor_s=11.7, tau_filter_s=10.0),
