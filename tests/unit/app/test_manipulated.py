@@ -151,6 +151,9 @@ where = "drive"
 lag_s = 0.05
 [load]
 type = "motor"
+period_s = 1.0
+pole = 0.7
+output_name = "speed"
 output_unit = "rad/s"
 reference_min = -200.0
 reference_max = 200.0

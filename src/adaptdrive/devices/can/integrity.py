@@ -175,10 +175,10 @@ class FrameVerdict(StrEnum):
 _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
 
 
-_RECENT_SHARE = 4
 MAX_JUMP = 3
 """Largest accepted advance of an alive counter: two lost frames in a row are no other sender."""
 
+_RECENT_SHARE = 4
 _RECENT_FRAMES = 8
 _RECENT_S = 0.1
 """The newest counters are old ones: a quarter of the range, and eight at the most, of a time that a
