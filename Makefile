@@ -112,15 +112,14 @@ define install # of extras, which are so many packages
 	@$(PYTHON) -c '$(new_enough)'
 	@echo "1 of 3: installing $(2), once"
 	@$(bin)/python -c '$(usable)' 2>/dev/null || { rm -rf $(venv); $(PYTHON) -m venv $(venv); }
-	@$(bin)/python -m pip install $$(test -t 2 || echo --quiet) --disable-pip-version-check \
-	  --constraint constraints.txt --editable '.[$(1)]'
+	@tools/install-packages $(bin)/python '$(1)'
 	@rm -rf $(venv)/lib/python*/site-packages/adaptdrive_sim # a copy, which would hide the source
 	@rm -f $(venv)/.installed-* $(venv)/.demo-*
 	@touch $@
 endef
 
 $(installed):
-	$(call install,$(EXTRAS),$(words $(shell grep == constraints.txt)) packages$(,) several minutes)
+	$(call install,$(EXTRAS),$(words $(shell grep == constraints.txt)) packages$(,) a minute or two)
 
 $(venv)/.demo-$(inputs):
-	$(call install,$(DEMO_EXTRAS),59 packages$(,) about two minutes)
+	$(call install,$(DEMO_EXTRAS),59 packages$(,) less than a minute)

@@ -49,10 +49,10 @@ class Course:
     Attributes:
         references: r[k].
         sizes: Size that the load is to have in each slow period, as a multiple of the nominal one.
-        over_s: How long a change of it takes.
         disturbances: Measurement noise of every tick, and of one more.
         mode: Controller asked for.
         pole: Closed-loop pole.
+        over_s: How long a change of the size takes.
         trips: Boost voltage in V and output above which the run ends early.
         burdens: What the load is disturbed by in each slow period, as its `disturb` takes it:
             torque in N m, or an inflow relative to that at the start. Empty for nothing.
@@ -64,10 +64,10 @@ class Course:
 
     references: Array
     sizes: Array
-    over_s: float
     disturbances: Array
-    mode: Mode
-    pole: float
+    mode: Mode = Mode.FIXED
+    pole: float = math.nan
+    over_s: float = 0.0
     trips: tuple[float, float] = NO_TRIPS
     burdens: Array = field(default_factory=lambda: np.empty(0))
     offset: float = 0.0

@@ -18,7 +18,7 @@ from adaptdrive.cli.options import Integer, read_address
 from adaptdrive.config import file, root
 from adaptdrive.mqtt.connection import Broker
 from adaptdrive.util.errors import AdaptdriveError, RefusedError, first_error
-from adaptdrive.util.log import configured, log
+from adaptdrive.util.lines import configured, write_line
 from adaptdrive_sim.devices import can, canopen, disturbances, modbus, scpi
 from adaptdrive_sim.devices import drive as drives
 from adaptdrive_sim.devices.sensors import CanSensors, ModbusSensors, check_names
@@ -75,7 +75,7 @@ def parse_address(text: str) -> Broker:
     return Broker(host, port)
 
 
-# The simulated drive as a process: building it, its log, and its orderly end.
+# The simulated drive as a process: building it, its lines, and its orderly end.
 
 PATIENCE_READINGS = 4
 """Polls without a command before a drive that is polled shuts down, unless its file states less."""
@@ -250,8 +250,8 @@ def _holds_output(configuration: root.Configuration) -> bool:
 
 
 def report(event: str, **data: object) -> None:
-    """Write a line of the log."""
-    log("info", event, **data, monotonic_s=round(time.monotonic(), 6))
+    """Write a line."""
+    write_line("info", event, **data, monotonic_s=round(time.monotonic(), 6))
 
 
 def _overridden(configuration: root.Configuration, settings: DeviceSettings) -> root.Configuration:

@@ -4,21 +4,22 @@ The order of calls is that of `adaptdrive.control.schedule`. There is no bus and
 nothing waits: time passes as fast as the machine counts it.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from itertools import repeat
 
 import numpy as np
 
+from adaptdrive.analysis.closed_loop import Loop
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, machine_limits
 from adaptdrive.config.root import Configuration
-from adaptdrive.control import schedule, signals
+from adaptdrive.control import signals
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Reach
 from adaptdrive.runtime import reports, requests, state_machine
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import RefusedError
-from adaptdrive_sim.course import PERIODS, Course, Run
+from adaptdrive_sim.course import NO_TRIPS, PERIODS, Course, Run
 from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.wire import CONTROL_FAULT, Wire, find_cause, received, rounded
 from adaptdrive_sim.world import SimulatedLoad, World
@@ -26,60 +27,40 @@ from adaptdrive_sim.world import SimulatedLoad, World
 # A controller in front of a plant, and the runs of both over a course.
 
 
-class Site:
-    """A controller in front of a plant, with or without a wire between them.
+class Site(Loop):
+    """A controller in front of a world, and the wire between them.
 
     Attributes:
-        controller: The controller.
         world: The plant.
-        wire: Resolution and delay between them.
+        wire: Resolution and delay.
         sample: What the drive measured at the end of the last half cycle.
-        snapshot: The last snapshot, None before the first.
-        decision: What the slow half made of it.
-        upcoming: Set-points to come that no order has.
     """
 
     def __init__(self, controller: Controller, world: World, wire: Wire | None = None) -> None:
-        """Put a controller in front of a plant.
+        """Put a controller in front of a world as it is.
 
         Args:
             controller: The controller.
             world: The plant.
-            wire: Resolution and delay between them; none when left out.
+            wire: Resolution and delay; one without either when left out.
         """
-        self.controller, self.world, self.wire = controller, world, wire
+        super().__init__(controller)
+        self.world = world
         self.sample: Sample = world.at_rest()
-        self.snapshot: signals.Snapshot | None = None
-        self.decision: signals.Decision | None = None
-        self.upcoming: tuple[float, ...] = ()
-        self._rates = controller.settings.rates
-        self._schedule = schedule.Schedule(controller, self._rates.latency_ticks)
+        self.wire = wire or Wire([self.sample.output])
+        self._noise: Iterator[float] = iter(())
+        self._trips = NO_TRIPS
 
     def measure(self, tick: int) -> signals.Measurement:
-        """Return what the controller receives at a tick, which it may ask for once."""
-        if self.wire is not None:
-            return received(self.wire, tick, self.sample)
-        _, tick_period_s, boost_V, line_V, load_W, output, _ = self.sample
-        return signals.Measurement(tick, tick_period_s, boost_V, line_V, load_W, output)
+        """Return what the controller receives at a tick."""
+        measurement = received(self.wire, tick, self.sample)
+        self.interlock = find_cause(measurement, *self._trips)
+        return measurement
 
-    def control(
-        self, measurement: signals.Measurement, order: signals.Order
-    ) -> tuple[signals.Command, bool]:
-        """Run the controller for one tick; return whether it has decided."""
-        command = self._schedule.tick(measurement, order)
-        snapshot = self._schedule.take_snapshot()
-        if snapshot is not None:
-            if self.upcoming:
-                snapshot = replace(snapshot, upcoming=self.upcoming)
-            self.snapshot, self.decision = snapshot, self._schedule.decide(snapshot)
-        return command, snapshot is not None
-
-    def advance(self, command: signals.Command, disturbance: float | None = None) -> None:
-        """Run the plant for one half cycle; the noise is its own unless it is given."""
-        scale_S = command.current_scale_S
-        if self.wire is not None:
-            scale_S = rounded(scale_S, self.wire.scale_quantum_S)
-        self.sample = self.world.step(scale_S, command.bridge, disturbance)
+    def step(self, command: signals.Command) -> None:
+        """Run the plant for one half cycle; the noise is its own outside of a course."""
+        scale_S = rounded(command.current_scale_S, self.wire.scale_quantum_S)
+        self.sample = self.world.step(scale_S, command.bridge, next(self._noise, None))
 
     def rest(self, course: Course) -> None:
         """Put the plant at rest where a course starts, and start the controller on it.
@@ -112,26 +93,26 @@ class Site:
 
     def _run(self, course: Course, run: Run, *, keep_ticks: bool) -> int:
         """Run a course that has begun at rest; return the interlock that has ended it."""
-        world, load = self.world, self.world.load
-        ticks, noise = self._rates.ticks_per_period, course.disturbances.tolist()
-        self.sample = world.step(world.current_scale_S, world.bridge, noise[0])
+        world, ticks = self.world, self.controller.settings.rates.ticks_per_period
+        self._trips = course.trips
+        self._noise = iter(course.disturbances.tolist())
+        self.sample = world.step(world.current_scale_S, world.bridge, next(self._noise))
+        for measurement, _, decided in self.readings(self._orders(course, ticks)):
+            if keep_ticks:
+                run.fast_output.append(world.load.output)
+                run.fast_voltage_V.append(measurement.boost_voltage_V)
+            if decided and self.note(run, measurement.tick // ticks).fault:
+                return CONTROL_FAULT
+        return self.interlock
+
+    def _orders(self, course: Course, ticks: int) -> Iterator[signals.Order]:
+        """Yield the orders of a course; before the first of a slow period its load changes."""
         for k, reference in enumerate(course.references.tolist()):
-            change_plant(load, course, k)
+            change_plant(self.world.load, course, k)
             self.upcoming = course.upcoming(k)
-            order = signals.Order(course.stage(k), reference, course.mode, course.pole)
-            for n in range(k * ticks, (k + 1) * ticks):
-                measurement = self.measure(n)
-                cause = find_cause(measurement, *course.trips)
-                if cause:
-                    return cause
-                if keep_ticks:
-                    run.fast_output.append(load.output)
-                    run.fast_voltage_V.append(measurement.boost_voltage_V)
-                command, decided = self.control(measurement, order)
-                if decided and self.note(run, k).fault:
-                    return CONTROL_FAULT
-                self.advance(command, noise[n + 1])
-        return 0
+            yield from repeat(
+                signals.Order(course.stage(k), reference, course.mode, course.pole), ticks
+            )
 
     def note(self, run: Run, k: int) -> signals.Decision:
         """Fill the row of a slow period in which a decision was made."""
@@ -185,8 +166,7 @@ class OperatedDrive(Site):
         world.shut()
         super().__init__(controller, world)
         self.sample = world.step(0.0, bridge=False)
-        settings = daemon_settings(configuration)
-        self.machine = state_machine.Machine(settings.machine)
+        self.machine = state_machine.Machine(machine_limits(configuration))
         self.ticks = 0
         self.time_s = 0.0
         self.completed = False
@@ -267,7 +247,7 @@ class OperatedDrive(Site):
             self.world.shut()
             command, _ = self.control(measurement, self.machine.order(self.ticks))
         self._command = command
-        self.advance(command)
+        self.step(command)
         return decided
 
     @property

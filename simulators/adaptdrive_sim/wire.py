@@ -27,18 +27,18 @@ class Wire:
     """Resolution and delay; a quantum of 0 does not round.
 
     Attributes:
+        outputs: The last outputs, newest first: one more than half cycles that the output is late.
         output_quantum: Of the output, in its unit.
         voltage_quantum_V: Of boost and line voltage.
         power_quantum_W: Of the load power.
         scale_quantum_S: Of the commanded current scale.
-        outputs: The last outputs, newest first: one more than half cycles that the output is late.
     """
 
-    output_quantum: float
-    voltage_quantum_V: float
-    power_quantum_W: float
-    scale_quantum_S: float
     outputs: Vector
+    output_quantum: float = 0.0
+    voltage_quantum_V: float = 0.0
+    power_quantum_W: float = 0.0
+    scale_quantum_S: float = 0.0
 
 
 def received(wire: Wire, tick: int, sample: Sample) -> Measurement:

@@ -139,11 +139,12 @@ def simulate(
         IdentificationError: A set-point, or a value that the plant returns, is not finite.
         ModuleNotFoundError: A library is not installed.
     """
-    from adaptdrive.analysis.closed_loop import simulated  # noqa: PLC0415 - see above
+    from adaptdrive.analysis import closed_loop  # noqa: PLC0415 - see above
 
     whole = config if isinstance(config, Configuration) else load_configuration(Path(config))
     wanted = setpoint if callable(setpoint) else lambda _: setpoint
-    return simulated(whole, plant, wanted, duration_s, Mode(mode))
+    course = closed_loop.setpoints(whole, wanted, duration_s, Mode(mode))
+    return closed_loop.simulate(whole, plant, course)
 
 
 def commission(

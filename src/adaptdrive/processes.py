@@ -107,11 +107,11 @@ _LOOK_s = 0.05
 
 
 class ProcessDiedError(AdaptdriveError):
-    """A process ended by itself; carries the last lines of its log."""
+    """A process ended by itself; carries the last lines of its output."""
 
-    def __init__(self, name: str, status: int, log: Path) -> None:
-        self.tail = last_lines(log)
-        super().__init__(f"the {name} {_how(status)}; see {log}")
+    def __init__(self, name: str, status: int, output: Path) -> None:
+        self.tail = last_lines(output)
+        super().__init__(f"the {name} {_how(status)}; see {output}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +120,12 @@ class Child:
 
     name: str
     process: asyncio.subprocess.Process
-    log: Path
+    output: Path
 
     @property
     def death(self) -> ProcessDiedError:
         """The error that describes its end."""
-        return ProcessDiedError(self.name, self.process.returncode or 0, self.log)
+        return ProcessDiedError(self.name, self.process.returncode or 0, self.output)
 
     async def until_listening(self, port: int) -> None:
         """Wait until it takes connections at a port of the loopback interface.
@@ -154,25 +154,25 @@ class ProcessGroup:
         self._environment = environment
         self._children: list[Child] = []
 
-    async def start(self, name: str, module: str, arguments: Sequence[str], log: Path) -> Child:
+    async def start(self, name: str, module: str, arguments: Sequence[str], output: Path) -> Child:
         """Start `python -m MODULE ARGUMENTS`.
 
         Args:
             name: Its name in messages.
             module: Module to run.
             arguments: Its arguments.
-            log: Takes its output.
+            output: File that takes what it writes.
         """
-        with log.open("ab") as output:
+        with output.open("ab") as file:
             process = await asyncio.create_subprocess_exec(
                 *_tied(module, arguments),
                 stdin=asyncio.subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
+                stdout=file,
+                stderr=file,
                 env=self._environment,
                 start_new_session=True,
             )
-        child = Child(name, process, log)
+        child = Child(name, process, output)
         self._children.append(child)
         return child
 
@@ -225,10 +225,10 @@ def _tied(module: str, arguments: Sequence[str]) -> list[str]:
     return [*tied, sys.executable, "-m", module, *arguments]
 
 
-def last_lines(log: Path) -> list[str]:
-    """The last lines of a log."""
+def last_lines(output: Path) -> list[str]:
+    """The last lines of the output of a process."""
     try:
-        text = log.read_text(encoding="utf-8", errors="replace")
+        text = output.read_text(encoding="utf-8", errors="replace")
     except OSError:
         return []
     return text.splitlines()[-_TAIL_LINES:]

@@ -13,7 +13,7 @@ import numpy as np
 import padasip
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, fast_settings, machine_limits
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.estimation import rls
 from adaptdrive.control.signals import (
@@ -158,12 +158,11 @@ def _times_of_ticks(controller: Controller, order: Order) -> tuple[list[float], 
 def running_loop(send: Callable[[Command], None]) -> tuple[FastLoop, Kept]:
     """A fast loop in state running on a port without a wire."""
     quiet = Kept()
-    settings = daemon_settings(MOTOR)
-    machine = Machine(settings.machine)
+    machine = Machine(machine_limits(MOTOR))
     controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
     port = LoopbackPort(send, counter_modulus=65536)
     port.restore()
-    loop = FastLoop(port, controller, machine, settings.fast, quiet)
+    loop = FastLoop(port, controller, machine, fast_settings(MOTOR), quiet)
     for number in range(WARM_UP):
         feed(loop, quiet, number, bridge=number > ENABLED + 1)
         if number == ENABLED:
@@ -259,10 +258,9 @@ def _frames() -> Iterator[Row]:
         began_s = time.perf_counter()
         port.send(command)
         encode.append((time.perf_counter() - began_s) * 1e6)
-    settings = daemon_settings(MOTOR)
-    machine = Machine(settings.machine)
+    machine = Machine(machine_limits(MOTOR))
     controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
-    listener.loop = FastLoop(port, controller, machine, settings.fast, listener.quiet)
+    listener.loop = FastLoop(port, controller, machine, fast_settings(MOTOR), listener.quiet)
     _times_of_pairs(port.take, listener, pairs[3000:enabled])
     machine.carry_out(Enable(), listener.loop.tick, 3.1, listener.loop.cause)
     whole = _times_of_pairs(port.take, listener, pairs[enabled:-COLD])

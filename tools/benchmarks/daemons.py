@@ -32,14 +32,18 @@ class Census:
         late: Half cycles that were played too late, which no daemon can be blamed for.
         cpu_share: CPU share of one daemon in the mean, in percent.
         echo_share: That of a bare echo in Python that heard as many frames meanwhile.
+        script_share: That of the script of an afternoon, on the same frames meanwhile.
         resident: Largest resident memory of a daemon.
+        script_resident: That of the script.
     """
 
     missed: int
     late: int
     cpu_share: float
     echo_share: float
+    script_share: float
     resident: float
+    script_resident: float
 
 
 def rows(extent: Extent) -> Iterator[Row]:
@@ -76,23 +80,24 @@ def measure(
             configured = {
                 "drive.name": f'"d{i}"',
                 "recording.enabled": str(recording).lower(),
-                "realtime.late_us": "4000.0",
                 **(changes or {}),
             }
             home = folder / f"d{i}"
             daemons.append(start_daemon(stack, home, bus_port, broker_port, configured))
         for daemon in daemons:
             await_broker(daemon)
-        (echo_port,) = bus_ports(1)
-        echo = stack.enter_context(
-            process([sys.executable, "-m", "tools.benchmarks.echo", str(echo_port)])
-        )
-        ports = ",".join(str(port) for port in [*(d.bus_port for d in daemons), echo_port])
+        echo_port, script_port = bus_ports(2)
+        of = [sys.executable, "-m"]
+        echo = stack.enter_context(process([*of, "tools.benchmarks.echo", str(echo_port)]))
+        script = [*of, "tools.benchmarks.afternoon", str(script_port), str(broker_port)]
+        beside = stack.enter_context(process([*script, folder / "afternoon.csv"]))
+        own = [daemon.bus_port for daemon in daemons]
+        ports = ",".join(map(str, [*own, echo_port, script_port]))
         late = folder / "late"
         player = [sys.executable, "-m", "tools.benchmarks.player", ports, str(PRIORITY + 10)]
         stack.enter_context(process([*player, late]))
         _run_drives(daemons)
-        return _count(daemons, echo.pid, broker_port, late, seconds)
+        return _count(daemons, [echo.pid, beside.pid], broker_port, late, seconds)
 
 
 def _run_drives(daemons: list[Running]) -> None:
@@ -105,21 +110,27 @@ def _run_drives(daemons: list[Running]) -> None:
 
 
 def _count(
-    daemons: list[Running], echo: int, broker_port: int, late: Path, seconds: float
+    daemons: list[Running], others: list[int], broker_port: int, late: Path, seconds: float
 ) -> Census:
     pids = [daemon.daemon.pid for daemon in daemons]
     before, late_before = _ticks(broker_port, len(pids)), _lines(late)
-    used, began_s = [cpu_s(pid) for pid in [*pids, echo]], time.monotonic()
+    used, began_s = [cpu_s(pid) for pid in [*pids, *others]], time.monotonic()
     time.sleep(seconds)
-    *own, echoed = (cpu_s(pid) - one for pid, one in zip([*pids, echo], used, strict=True))
+    *own, echoed, scripted = (
+        cpu_s(pid) - one for pid, one in zip([*pids, *others], used, strict=True)
+    )
     passed_s = time.monotonic() - began_s
+    if min(echoed, scripted) <= 0.0:
+        raise RuntimeError("the echo or the script of an afternoon has ended")
     after = _ticks(broker_port, len(pids))
     return Census(
         missed=sum(after.values()) - sum(before.values()),
         late=_lines(late) - late_before,
         cpu_share=100.0 * sum(own) / passed_s / len(pids),
         echo_share=100.0 * echoed / passed_s,
+        script_share=100.0 * scripted / passed_s,
         resident=max(map(resident_MiB, pids)),
+        script_resident=resident_MiB(others[-1]),
     )
 
 

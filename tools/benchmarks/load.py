@@ -26,7 +26,7 @@ from tools.benchmarks.turnaround import probe
 HOG = "while True: pass"
 COMMANDS_PER_S = 1000
 LIMIT_US = 1000.0
-TELEMETRY = {"mqtt.telemetry_Hz": "10.0", "recording.flush_s": "0.5"}
+TELEMETRY = {"mqtt.telemetry_Hz": "10.0"}
 
 
 def rows(extent: Extent) -> Iterator[Row]:

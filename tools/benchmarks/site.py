@@ -20,7 +20,6 @@ from tools.benchmarks.tools import PRIORITY, bus_ports, process
 
 REALTIME = {
     "realtime.priority": str(PRIORITY),
-    "realtime.lock_memory": "true",
     "interlocks.stale_s": "0.2",
 }
 

@@ -12,7 +12,7 @@ import sys
 import time
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, fast_settings, machine_limits
 from adaptdrive.config.services import Realtime
 from adaptdrive.control.controller import Controller
 from adaptdrive.runtime.fast_loop import FastLoop
@@ -41,11 +41,10 @@ class Timed(Kept):
 
 async def main(duration_s: float, priority: int, *, awake: bool) -> list[float]:
     """Run ticks for so long."""
-    around, settings = Timed(), daemon_settings(MOTOR)
-    machine = Machine(settings.machine)
+    around, machine = Timed(), Machine(machine_limits(MOTOR))
     controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
     port = LoopbackPort(lambda _: None, counter_modulus=None)
-    loop = FastLoop(port, controller, machine, settings.fast, around)
+    loop = FastLoop(port, controller, machine, fast_settings(MOTOR), around)
     times: list[float] = []
 
     def on_deadline(deadline_s: float) -> None:
@@ -55,7 +54,6 @@ async def main(duration_s: float, priority: int, *, awake: bool) -> list[float]:
     around.timer = TickTimer(asyncio.get_running_loop(), on_deadline)
     wanted = Realtime(
         priority=priority or None,
-        lock_memory=bool(priority),
         cpu_latency_us=0 if awake else None,
     )
     with real_time(wanted):

@@ -17,7 +17,7 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.recording.journal_files import Begin, LogFile, Recalled, new_file, recall
+from adaptdrive.recording.log_files import Begin, LogFile, Recalled, new_file, recall
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import EventRow, Header, Kind, Record, framed
 from adaptdrive.recording.segments import logged_batches
@@ -79,8 +79,8 @@ def log(data: bytes) -> object:
     file = _log_file()
     file.path.write_bytes(data)
     losses: list[str] = []
-    for name in (*TABLES, *NOTE_ROWS):
-        list(logged_batches([file], name, table_schema(name), losses))
+    schemas = {name: table_schema(name) for name in (*TABLES, *NOTE_ROWS)}
+    list(logged_batches([file], schemas, losses))
     return recall(file.path.parent, INFO.started)
 
 
@@ -105,7 +105,8 @@ def _events() -> bytes:
     batch = msgspec.structs.replace(make_batch([], last=True), events=[event])
     file = write_log(scratch() / "events.log", Header(INFO, ""), batch)
     path = scratch() / "events.good"
-    write_parquet(path, logged_batches([file], TableName.EVENTS, table_schema(TableName.EVENTS)))
+    schemas = {str(TableName.EVENTS): table_schema(TableName.EVENTS)}
+    write_parquet(lambda _: path, logged_batches([file], schemas, []))
     return path.read_bytes()
 
 
@@ -125,7 +126,7 @@ def _payloads() -> tuple[bytes, ...]:
 def _ticks() -> bytes:
     path = scratch() / "ticks.good"
     batch = pa.RecordBatch.from_pydict({"sequence": [0, 1], "output": [1.0, 2.0]})
-    write_parquet(path, [batch, batch])
+    write_parquet(lambda _: path, [(TableName.TICKS, batch), (TableName.TICKS, batch)])
     return path.read_bytes()
 
 

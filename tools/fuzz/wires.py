@@ -42,7 +42,7 @@ def _protected(name: str) -> list[MessageCodec]:
     """The messages of an example whose frames have a counter or a checksum."""
     bus = load_configuration(EXAMPLES / name).bus
     assert isinstance(bus, CanBus)
-    known = read_dbc(bus.database)[0].get_message_by_name
+    known = read_dbc(bus.database[0])[0].get_message_by_name
     return [MessageCodec(known(one), integrity) for one, integrity in bus.integrity.items()]
 
 

@@ -132,7 +132,7 @@ MQTT: dict[str, tuple[str, ...]] = {
 }
 
 RECORDING: dict[str, tuple[str, ...]] = {
-    "adaptdrive.recording.writer": (
+    "adaptdrive.recording.log": (
         "tests/unit/recording/test_log.py",
         "tests/unit/recording/test_recorder.py",
         "tests/unit/mqtt/test_stores.py",

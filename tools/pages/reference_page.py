@@ -26,7 +26,7 @@ lines of at most 4096 characters.
 A file must have {required}; the other sections have defaults throughout. [Hardware](hardware.md)
 explains how to describe a drive. `make docs` writes this page from `src/adaptdrive/config`.
 """
-_REPEATED = 3
+_REPEATED = 2
 """Rows of earlier sections from which on they are named in a sentence."""
 _HEAD = "| key | type | default | meaning |\n|---|---|---|---|"
 _TYPES = {
@@ -76,7 +76,7 @@ def _section(schema: Schema, places: dict[str, str]) -> str:
     rows = [
         _row(name, key, required=name in required)
         for name, key in schema["properties"].items()
-        if not _is_section(key)
+        if not (_is_section(key) or "const" in key)  # the title has the one value of such a key
     ]
     known = [row for row in rows if places.setdefault(row, title) != title]
     told = [_repeated(known, places)] if len(known) >= _REPEATED else []

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from multiprocessing import Pool
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, fast_settings, machine_limits
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
@@ -52,7 +52,6 @@ class Deceived(Quiet):
     world: World
 
     def __post_init__(self) -> None:
-        settings = daemon_settings(self.configuration)
         self.now = 1000.0
         self.counter = 0
         self.sent = SAFE_COMMAND
@@ -60,13 +59,15 @@ class Deceived(Quiet):
         self.completed = False
         self.sensor: Sensor = lambda _, output: output
         self.fault_s = math.inf
-        self.machine = Machine(settings.machine)
+        self.machine = Machine(machine_limits(self.configuration))
         self.controller = Controller(
             controller_settings(self.configuration), build_load(self.configuration)
         )
         self.port = LoopbackPort(self._command, counter_modulus=65536)
         self.port._up, self.port._listener = True, self
-        self.loop = FastLoop(self.port, self.controller, self.machine, settings.fast, self)
+        self.loop = FastLoop(
+            self.port, self.controller, self.machine, fast_settings(self.configuration), self
+        )
         self.world.shut()
 
     def run(self, seconds: float) -> bool:

@@ -1,7 +1,7 @@
 """One drawn run of any load: what was drawn, its course, its plant, and what a run of it shows."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
 from functools import cached_property, partial
 from typing import Any
@@ -18,6 +18,7 @@ from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.supervision.supervisor import Verdict
 from adaptdrive_sim.campaign.settings import Range, WholeRange
 from adaptdrive_sim.course import Array, Course, Run, follow_ideal
+from adaptdrive_sim.experiments.case import from_rest
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.boost import LineParameters
 from adaptdrive_sim.site import Site
@@ -46,6 +47,14 @@ def deploy(name: str, tables: dict[str, Any] | None = None) -> Deployed:
     limits, section = configuration.interlocks, configuration.load
     trips = limits.boost_voltage_max_V, limits.output_max
     return Deployed(settings, load, trips, section.pole, section.period_s)
+
+
+WARM_UP_s = 90.0
+
+
+def at_rest(own: Deployed) -> Deployed:
+    """Return the same for a run that starts at rest."""
+    return replace(own, settings=from_rest(own.settings, WARM_UP_s, own.period_s))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +116,7 @@ class Drawn:
     def wire(self, output: float) -> Wire:
         """Return the connection between drive and controller, at rest at an output."""
         outputs = [output] * (self.output_delay_ticks + 1)
-        return Wire(self.output_quantum, self.voltage_V, self.power_W, self.scale_S, outputs)
+        return Wire(outputs, self.output_quantum, self.voltage_V, self.power_W, self.scale_S)
 
 
 def columns_of(drawn: Any) -> Row:  # noqa: ANN401 - any dataclass
@@ -201,44 +210,31 @@ class DrawnRun(ABC):
         largest_movement: Movement of the output by the reference's step or by the largest
             disturbance.
         times_s: The slow instants.
-        references: r[k].
+        ticks: How many half cycles it has.
+        plan: What happens, to the controllers of both modes.
         sizes: What changes of the load.
         change_times_s: Times at which it begins to change.
-        targets: What the sizes are asked to be, relative to what the plant takes for 1.
-        over_s: How long a change of them takes.
-        burdens: What disturbs the load in each slow period; empty for nothing.
-        disturbances: Measurement noise of every tick, with the offset of the sensor.
-        offset: Offset of the sensor of the output.
-        stops: Slow periods in which the drive is off.
-        preview: Whether the adaptive controller receives the set-points to come.
     """
 
-    references: Array
+    plan: Course
     sizes: Array
     change_times_s: Numbers
-    targets: Array
-    burdens: Array
-    disturbances: Array
     largest_movement: float
-    over_s = 0.0
-    preview = False
 
-    def __init__(self, own: Deployed, scenario: Drawn, offset: float, shown: float) -> None:
+    def __init__(self, own: Deployed, scenario: Drawn, shown: float) -> None:
         """Begin the course of a scenario.
 
         Args:
             own: The controller.
             scenario: What was drawn.
-            offset: Offset of the sensor of the output.
             shown: Output that a late sensor shows at first.
         """
-        self.own, self.offset = own, offset
+        self.own = own
         self.seed, self.step = scenario.seed, scenario.step
         self.cycle_periods = round(scenario.reference.period_s / own.period_s)
         periods = round(scenario.duration_s / own.period_s)
         self.times_s: Array = own.period_s * np.arange(periods, dtype=np.float64)
         self.ticks = periods * own.settings.rates.ticks_per_period
-        self.stops: tuple[range, ...] = ()
         self._drawn, self._wire = scenario, partial(scenario.wire, shown)
 
     def columns(self) -> Row:
@@ -248,19 +244,7 @@ class DrawnRun(ABC):
 
     def course(self, mode: signals.Mode) -> Course:
         """Return what happens in the run."""
-        return Course(
-            self.references,
-            self.targets,
-            self.over_s,
-            self.disturbances,
-            mode,
-            self.own.pole,
-            self.own.trips,
-            self.burdens,
-            self.offset,
-            self.stops,
-            self.preview,
-        )
+        return replace(self.plan, mode=mode, pole=self.own.pole, trips=self.own.trips)
 
     @abstractmethod
     def world(self) -> World:
@@ -285,12 +269,12 @@ class DrawnRun(ABC):
 
     def described(self, run: Run) -> Run:
         """Return a run with what it was to follow, and the loop as designed."""
-        given = {"time_s": self.times_s, "reference": self.references, "size": self.sizes}
+        given = {"time_s": self.times_s, "reference": self.plan.references, "size": self.sizes}
         return run.beside(**given, ideal=self.ideal)
 
     def errors(self, run: Run) -> Array:
         """Return the differences to the designed loop while the drive runs."""
-        shown = run["output"] + self.offset
+        shown = run["output"] + self.plan.offset
         found: Array = ((shown - self.ideal) / self.step)[self.running()]
         return found
 
@@ -318,7 +302,7 @@ class DrawnRun(ABC):
         In the first one after a stop the controller collects what its first decision needs.
         """
         found = np.full(self.times_s.size, fill_value=True)
-        for stop in self.stops:
+        for stop in self.plan.stops:
             found[stop.start : stop.stop + 1] = False
         return found
 
@@ -326,7 +310,7 @@ class DrawnRun(ABC):
     def ideal(self) -> Array:
         """Output of the loop as designed, at each slow instant."""
         own = self.own
-        return follow_ideal(self.references, self.true_loads(), own.pole, own.period_s)
+        return follow_ideal(self.plan.references, self.true_loads(), own.pole, own.period_s)
 
     def truth_at(self, k: int) -> Array:
         """Return the true physical parameters in a slow period."""

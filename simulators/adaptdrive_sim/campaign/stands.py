@@ -10,8 +10,7 @@ from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Shape, Waveform
 from adaptdrive_sim.campaign import drawn, settings
-from adaptdrive_sim.course import Array, moving
-from adaptdrive_sim.experiments.case import from_rest
+from adaptdrive_sim.course import Array, Course, moving
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
@@ -194,18 +193,10 @@ def draw(campaign: settings.Campaign, seed: int) -> Scenario:
     )
 
 
-WARM_UP_s = 90.0
-
-
 @cache
 def deployed() -> drawn.Deployed:
     """The example configuration, for a run that starts at rest."""
-    return at_rest(drawn.deploy("motor.toml"))
-
-
-def at_rest(own: drawn.Deployed) -> drawn.Deployed:
-    """Return the same for a run that starts at rest."""
-    return replace(own, settings=from_rest(own.settings, WARM_UP_s, own.period_s))
+    return drawn.at_rest(drawn.deploy("motor.toml"))
 
 
 class Stand(drawn.DrawnRun):
@@ -213,18 +204,22 @@ class Stand(drawn.DrawnRun):
 
     def __init__(self, scenario: Scenario) -> None:
         life = scenario.life
-        super().__init__(deployed(), scenario, life.offset, scenario.reference.value(0.0))
+        super().__init__(deployed(), scenario, scenario.reference.value(0.0))
         self.scenario = scenario
         starts_s, ramps_s = scenario.change_times_s, life.inertia_ramps_s
-        self.sizes = self.targets = moving(self.times_s, starts_s, scenario.inertias, ramps_s)
-        self.burdens = life.torques_at(self.times_s)
-        self.references = scenario.references_at(life.held_at(self.times_s))
+        self.sizes = moving(self.times_s, starts_s, scenario.inertias, ramps_s)
         self.change_times_s = starts_s
         moved = settings.NOMINAL_GAIN * scenario.gain * life.largest_torque_V
         self.largest_movement = max(self.step, moved)
-        self.stops = life.stops(self.own.period_s)
-        self.preview = scenario.preview
-        self.disturbances = life.offset + scenario.disturbances(self.ticks + 1)
+        self.plan = Course(
+            references=scenario.references_at(life.held_at(self.times_s)),
+            sizes=self.sizes,
+            disturbances=life.offset + scenario.disturbances(self.ticks + 1),
+            burdens=life.torques_at(self.times_s),
+            offset=life.offset,
+            stops=life.stops(self.own.period_s),
+            preview=scenario.preview,
+        )
         self._true_load = cache(self._load_with)
 
     def columns(self) -> drawn.Row:
@@ -245,7 +240,7 @@ class Stand(drawn.DrawnRun):
         motor, coupling = Motor(self.scenario.motor()), CouplingParameters()
         motor.set_inertia(MotorParameters().disk_kgm2 * inertia)
         reference = self.scenario.reference
-        middle = 0.5 * (reference.low + reference.high) - self.offset
+        middle = 0.5 * (reference.low + reference.high) - self.plan.offset
         motor.speed_rad_s = middle / motor.parameters.tachometer_Vs
         model = motor.model(coupling.ratio, coupling.droop_Ohm)
         return motor_load(model["gain"], model["tau_motor_s"], model["tau_filter_s"])
@@ -350,18 +345,21 @@ class BathStand(drawn.DrawnRun):
     """The course of one scenario of a bath; its size is the volume in US gallons."""
 
     def __init__(self, scenario: BathScenario) -> None:
-        super().__init__(deployed_bath(), scenario, scenario.offset_K, scenario.reference.low)
+        super().__init__(deployed_bath(), scenario, scenario.reference.low)
         self.scenario = scenario
         self.change_times_s = scenario.fill_times_s
         flows, volumes_gal = scenario.inflows, scenario.volumes_gal
         self.sizes = moving(self.times_s, self.change_times_s, volumes_gal, scenario.fill_s)
         self.inflows = moving(self.times_s, scenario.inflow_times_s, flows)
-        self.targets = moving(self.times_s, self.change_times_s, volumes_gal) / volumes_gal[0]
-        self.over_s = scenario.fill_s
-        self.burdens = self.inflows / flows[0] if scenario.inflow_times_s else np.empty(0)
         low = np.full(self.times_s.size, scenario.reference.low)
-        self.references = low if scenario.constant else scenario.references_at(self.times_s)
-        self.disturbances = scenario.disturbances(self.ticks + 1, self.offset)
+        self.plan = Course(
+            references=low if scenario.constant else scenario.references_at(self.times_s),
+            sizes=moving(self.times_s, self.change_times_s, volumes_gal) / volumes_gal[0],
+            over_s=scenario.fill_s,
+            disturbances=scenario.disturbances(self.ticks + 1, scenario.offset_K),
+            burdens=self.inflows / flows[0] if scenario.inflow_times_s else np.empty(0),
+            offset=scenario.offset_K,
+        )
         moved_K = (max(flows) / min(flows) - 1.0) * scenario.reference.high
         self.largest_movement = max(self.step, moved_K)
 

@@ -212,8 +212,7 @@ class CanDrive(DriveNode):
             if number == self._numbers.get(codec.name):
                 continue
             self._numbers[codec.name] = number
-            data, fast = message.encode(number, quantities), self._config.bitrate_switch
-            out = codec.frame(data, bitrate_switch=fast)
+            out = codec.frame(message.encode(number, quantities))
             self.counts["sent" if send(self._bus, out) else "dropped"] += 1
 
 

@@ -135,7 +135,7 @@ def _server(
         framer=FramerType.RTU,
         port=str(port),
         baudrate=link.baud,
-        parity=link.parity[0].upper(),
+        parity=link.parity,
         stopbits=link.stop_bits,
         ignore_missing_devices=True,
     )
@@ -220,7 +220,7 @@ class ModbusDrive(DriveNode):
             else:
                 content = codec.encode_count(register, _wrapped(register, int(value)))
             for place, word in zip(_places(register), content, strict=True):
-                words[place] = word | (0 if register.bits is None else words.get(place, 0))
+                words[place] = word | (0 if register.mask is None else words.get(place, 0))
         for (table, address), word in words.items():
             self._tables[table][address] = word
 

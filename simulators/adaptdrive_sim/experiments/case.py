@@ -151,7 +151,6 @@ def paper_settings(experiment: Experiment) -> ControllerSettings:
         "method": paper.method,
         "forgetting": paper.forgetting,
         "tau_lambda_s": paper.tau_lambda_s,
-        "initial_covariance": paper.covariance,
     }
     tables["supervisor"] = {"warm_up_s": paper.warm_up_s}
     return _from_tables(experiment, tables)

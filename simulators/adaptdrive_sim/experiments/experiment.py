@@ -52,14 +52,12 @@ class PaperSettings:
         method: What is learnt, and from which signals.
         forgetting: ρ.
         tau_lambda_s: τ_λ.
-        covariance: p0.
         warm_up_s: Time under the fixed controller before the adaptive one takes over.
     """
 
     method: Literal["lm-rls", "rls"]
     forgetting: float
     tau_lambda_s: float
-    covariance: float
     warm_up_s: float
 
 

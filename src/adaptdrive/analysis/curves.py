@@ -1,7 +1,7 @@
-"""Curves of a session, as many points as a figure can show, and the quality of its control."""
+"""Curves of a session, as many points as a figure can show; responses, and their quality."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -10,6 +10,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from adaptdrive.config.load import AnyLoad
+from adaptdrive.identification.excerpt import means_of
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.session import TableName
 from adaptdrive.util.errors import RecordingError
@@ -111,7 +113,7 @@ def row_times(session: Session, batch: pa.RecordBatch) -> Array:
 
 def read_curves(session: Session, window: Window) -> Curves:
     """Read what a figure shows of a session; of many slow steps every n-th."""
-    steps = list(_within(session, TableName.SLOW, _SLOW_COLUMNS, window))
+    steps = list(rows_within(session, TableName.SLOW, _SLOW_COLUMNS, window))
     slow_s = np.concatenate([np.empty(0), *(time_s for time_s, _ in steps)])
     ticks = _envelopes(session, window)
     if not steps:
@@ -125,9 +127,10 @@ def read_curves(session: Session, window: Window) -> Curves:
     return Curves(window, ticks, slow_s[shown], slow, _estimates(rows))
 
 
-def _within(
+def rows_within(
     session: Session, table: str, columns: tuple[str, ...], window: Window
 ) -> Iterator[tuple[Array, pa.RecordBatch]]:
+    """Yield the rows of a part of a session, with their times since its left edge."""
     for batch in session.batches(table, ("monotonic_s", "tick", *columns)):
         time_s = row_times(session, batch)
         first, last = np.searchsorted(time_s, (window.begin_s, window.end_s), side="left")
@@ -139,7 +142,7 @@ def _envelopes(session: Session, window: Window) -> dict[str, tuple[Array, Array
     width_s = (window.end_s - window.begin_s) / _BINS
     low = {name: np.full(_BINS, np.inf) for name in _TICK_COLUMNS}
     high = {name: np.full(_BINS, -np.inf) for name in _TICK_COLUMNS}
-    for time_s, batch in _within(session, TableName.TICKS, _TICK_COLUMNS, window):
+    for time_s, batch in rows_within(session, TableName.TICKS, _TICK_COLUMNS, window):
         bins = np.minimum((time_s / width_s).astype(np.int64), _BINS - 1)
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
         at = bins[starts]
@@ -272,3 +275,51 @@ def judge_step(output: Array, before: float, after: float) -> tuple[float, float
     outside = np.flatnonzero(np.abs(error) > _BAND)
     periods = float(outside[-1] + 1) if len(outside) else 0.0
     return max(0.0, float(error.max())), periods if periods < len(output) else math.inf
+
+
+# The response of a loop, simulated or recorded, as means over slow periods.
+
+_RESPONSE = ("reference", "output", "boost_voltage_V")
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """Response of a loop, as means over slow periods.
+
+    Attributes:
+        time_s: Time of each slow period.
+        reference: Set-point at its end.
+        output: The regulated quantity.
+        boost_voltage_V: v_bst.
+        quality: Judgement of it.
+        fault: Cause that ended it early, empty for none.
+    """
+
+    time_s: Array
+    reference: Array
+    output: Array
+    boost_voltage_V: Array
+    quality: Quality
+    fault: str = ""
+
+
+def response_of(
+    columns: Mapping[str, Array], samples: int, time_s: Array, section: AnyLoad, fault: str = ""
+) -> Response:
+    """Return the response of a loop.
+
+    Args:
+        columns: Set-point, output and boost voltage at each reading; those before the first slow
+            period are left out.
+        samples: Readings in a slow period.
+        time_s: Time of each slow period.
+        section: The load, with its slow period and the range of its set-points.
+        fault: Cause that ended the loop early, empty for none.
+    """
+    first = (len(columns["output"]) // samples - len(time_s)) * samples
+    reference, output, volts = (columns[name][first:] for name in _RESPONSE)
+    reference = reference[samples - 1 :: samples]
+    output, volts = means_of(output, samples), means_of(volts, samples)
+    span = section.reference_max - section.reference_min
+    quality = quality_of(reference, output, volts, section.period_s, span)
+    return Response(time_s, reference, output, volts, quality, fault)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adaptdrive.analysis.curves import Array, row_times
 from adaptdrive.control.loads.load import Load, to_input
-from adaptdrive.control.signals import Mode, Stage
+from adaptdrive.control.signals import Mode, Order, Stage
 from adaptdrive.identification.excerpt import Excerpt, held_step
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.reader import Session
@@ -60,6 +60,18 @@ class Stretch:
     def excerpt(self) -> Excerpt:
         """Return the part that identification needs."""
         return Excerpt(self.columns["boost_voltage_V"], self.columns["output"], self.period_s)
+
+    def orders(self, pole: float | None = None) -> Iterator[Order]:
+        """Yield the recorded orders.
+
+        Args:
+            pole: Replaces the recorded closed-loop pole; None to keep it.
+        """
+        names, modes = ("reference", "pole", "manual_V", "steady"), tuple(Mode)
+        columns = (np.nan_to_num(self.columns[name]).tolist() for name in names)
+        for mode, reference, own, manual_V, steady in zip(self.modes, *columns, strict=True):
+            asked = own if pole is None else pole
+            yield Order(Stage.RUN, reference, modes[mode], asked, manual_V, steady > 0.5)
 
 
 def read_stretches(

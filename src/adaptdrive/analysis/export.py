@@ -6,7 +6,6 @@ import json
 import re
 import warnings
 from collections.abc import Callable, Iterator
-from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -24,17 +23,23 @@ from adaptdrive.recording import reader
 from adaptdrive.recording.session import TABLES
 from adaptdrive.recording.tables import open_file
 
+Batches = Iterator[pa.RecordBatch]
+
 # Tables of a session without lists, as other programs read them, and those of polars or pandas.
 
 
-def flat_schema(session: reader.Session, table: str) -> pa.Schema:
-    """Return the columns of a table without lists: one for each element and estimate."""
-    first = next(flat_batches(session, table), None)
-    return pa.schema([]) if first is None else first.schema
+def flat_tables(session: reader.Session) -> Iterator[tuple[str, pa.Schema, Batches]]:
+    """Yield each table that has rows, without lists, and its rows, which are read once.
+
+    A list is spread over columns, such as `gains_0`: one for each element and estimate.
+    """
+    for table in TABLES:
+        batches = _flat_batches(session, table)
+        if (first := next(batches, None)) is not None:
+            yield table, first.schema, itertools.chain((first,), batches)
 
 
-def flat_batches(session: reader.Session, table: str) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of a table with each list spread over columns, such as `gains_0`."""
+def _flat_batches(session: reader.Session, table: str) -> Batches:
     widths: dict[str, list[str]] = {}
     for batch in session.batches(table):
         columns: dict[str, tuple[pa.Field, pa.Array]] = {}
@@ -91,10 +96,7 @@ def session_frames(path: Path, frames: str) -> dict[str, Any]:
     session = reader.read_session(path)
     if session.damage:
         warnings.warn(session.damage, stacklevel=3)
-    tables = {
-        name: pa.Table.from_batches(list(flat_batches(session, name)), flat_schema(session, name))
-        for name in TABLES
-    }
+    tables = {name: pa.table({}) for name in TABLES} | _whole(session)
     units = {
         field.name: unit
         for table in tables.values()
@@ -105,6 +107,14 @@ def session_frames(path: Path, frames: str) -> dict[str, Any]:
     tables["commands"] = _rows(session.commands)
     made = {name: _frame(table, frames) for name, table in tables.items()}
     return {"info": session.info, "units": units, **made}
+
+
+def _whole(session: reader.Session) -> dict[str, pa.Table]:
+    """Return the tables that have rows, all of them in memory."""
+    return {
+        table: pa.Table.from_batches(list(batches), schema)
+        for table, schema, batches in flat_tables(session)
+    }
 
 
 def _rows(rows: tuple[Any, ...]) -> pa.Table:
@@ -152,22 +162,15 @@ def export(path: Path, to: str, into: Path) -> list[Path]:
         raise
 
 
-def _tables(session: reader.Session) -> Iterator[tuple[str, pa.Schema]]:
-    for table in TABLES:
-        schema = flat_schema(session, table)
-        if schema.names:
-            yield table, schema
-
-
 def _write_tables(
     session: reader.Session, into: Path, suffix: str, writer: Callable[..., Any]
 ) -> list[Path]:
     """Write a file for each table."""
     paths = []
-    for table, schema in _tables(session):
+    for table, schema, batches in flat_tables(session):
         path = into / f"{session.path.name}_{table}.{suffix}"
         with open_file(path, "wb") as sink, writer(sink, schema) as file:
-            for batch in flat_batches(session, table):
+            for batch in batches:
                 file.write_batch(batch.cast(schema))
         paths.append(path)
     return paths
@@ -177,11 +180,10 @@ def _write_mat(session: reader.Session, into: Path) -> list[Path]:
     from scipy.io import savemat  # noqa: PLC0415 - an extra
 
     contents: dict[str, Any] = {}
-    for table, schema in _tables(session):
-        whole = pa.Table.from_batches(list(flat_batches(session, table)), schema)
-        fields = _field_names(schema.names)
-        contents[table] = {fields[name]: _matlab(whole[name]) for name in schema.names}
-        contents[f"{table}_units"] = {fields[field.name]: _unit(field) for field in schema}
+    for table, whole in _whole(session).items():
+        fields = _field_names(whole.column_names)
+        contents[table] = {field: _matlab(whole[name]) for name, field in fields.items()}
+        contents[f"{table}_units"] = {fields[field.name]: _unit(field) for field in whole.schema}
         if renamed := {field: name for name, field in fields.items() if field != name}:
             contents[f"{table}_names"] = renamed
     path = into / f"{session.path.name}.mat"
@@ -208,37 +210,31 @@ def _write_mdf4(session: reader.Session, into: Path) -> list[Path]:
     from asammdf import MDF, Signal  # noqa: PLC0415 - an extra
 
     path = into / f"{session.path.name}.mf4"
-    begin_s, begun = _beginning(session)
+    tables = _whole(session)
+    times_s = {
+        name: np.concatenate([row_times(session, batch) for batch in whole.to_batches()])
+        for name, whole in tables.items()
+    }
+    started = session.info.started
+    begins = [(times_s[name][0], whole["utc"][0].as_py()) for name, whole in tables.items()]
+    begin_s, begun = min(begins, key=lambda one: one[0], default=(0.0, started))
     with MDF(version="4.10") as file:
-        file.start_time = begun
-        for table, schema in _tables(session):
-            batches = list(flat_batches(session, table))
-            whole = pa.Table.from_batches(batches, schema)
-            time_s = np.concatenate([row_times(session, batch) for batch in batches]) - begin_s
+        file.start_time = begun or started
+        for table, whole in tables.items():
             signals = [
                 Signal(
                     samples=_samples(whole[field.name]),
-                    timestamps=time_s,
+                    timestamps=times_s[table] - begin_s,
                     name=field.name,
                     unit=_unit(field),
                     comment=_about(field, "description"),
                     encoding="utf-8",
                 )
-                for field in schema
+                for field in whole.schema
                 if field.name != "monotonic_s"
             ]
             file.append(signals, comment=table)
         return [Path(file.save(path, overwrite=True))]
-
-
-def _beginning(session: reader.Session) -> tuple[float, datetime]:
-    """Return the time of the first row of all tables, by the monotonic clock and in UTC."""
-    firsts = []
-    for table, _ in _tables(session):
-        row = next(flat_batches(session, table)).slice(0, 1)
-        begin_s, begun = row_times(session, row)[0], row["utc"][0].as_py()
-        firsts.append((float(begin_s), begun or session.info.started))
-    return min(firsts, default=(0.0, session.info.started))
 
 
 def _write_mcap(session: reader.Session, into: Path) -> list[Path]:
@@ -248,19 +244,19 @@ def _write_mcap(session: reader.Session, into: Path) -> list[Path]:
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="", library="adaptdrive")
-        for table, schema in _tables(session):
+        for table, schema, batches in flat_tables(session):
             text = json.dumps(_json_schema(table, schema)).encode()
             kind = writer.register_schema(f"adaptdrive.{table}", "jsonschema", text)
             channel = writer.register_channel(f"/{session.info.drive}/{table}", "json", kind)
-            for time_ns, message in _messages(session, table):
+            for time_ns, message in _messages(session, batches):
                 writer.add_message(channel, log_time=time_ns, publish_time=time_ns, data=message)
         writer.finish()  # type: ignore[no-untyped-call]
     return [path]
 
 
-def _messages(session: reader.Session, table: str) -> Iterator[tuple[int, bytes]]:
+def _messages(session: reader.Session, batches: Batches) -> Iterator[tuple[int, bytes]]:
     start_ns = round(session.info.started.timestamp() * _NANOSECONDS)
-    for batch in flat_batches(session, table):
+    for batch in batches:
         for row in batch.to_pylist():
             utc = row.pop("utc")
             time_ns = round(utc.timestamp() * 1e6) * 1000 if utc else start_ns

@@ -1,5 +1,6 @@
 """A record of one input and one output, made by any program, and the load that it shows."""
 
+import itertools
 import math
 import re
 from collections.abc import Iterable, Sequence
@@ -11,7 +12,7 @@ import numpy as np
 
 from adaptdrive.analysis import closed_loop
 from adaptdrive.analysis.columns import Columns, columns_of_file, columns_of_table, quantity_of
-from adaptdrive.analysis.curves import Array, find_window, read_curves
+from adaptdrive.analysis.curves import Array, find_window, rows_within
 from adaptdrive.analysis.excerpts import Stretch, block_samples, read_stretches
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration, load_configuration
@@ -23,6 +24,7 @@ from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.replay import reconfigured
+from adaptdrive.recording.session import TableName
 from adaptdrive.util.errors import IdentificationError
 
 # Which columns of a record are used, and at which times.
@@ -315,15 +317,12 @@ def identify_session(
 
 def _online(session: Session, names: tuple[str, ...], end_s: float | None) -> dict[str, Estimate]:
     """Return the last on-line estimates before a time."""
-    curves = read_curves(session, find_window(session, None, end_s))
-    found = {}
-    for name in names:
-        known = [
-            Estimate(float(value), float(std))
-            for value, std in zip(*curves.estimates.get(name, ((), ())), strict=True)
-            if math.isfinite(value)
-        ]
-        found[name] = known[-1] if known else Estimate(math.nan, math.nan)
+    found = dict.fromkeys(names, Estimate(math.nan, math.nan))
+    window = find_window(session, None, end_s)
+    for _, batch in rows_within(session, TableName.SLOW, ("estimates",), window):
+        for one in itertools.chain.from_iterable(batch.column("estimates").to_pylist()):
+            if one["name"] in found and math.isfinite(one["value"]):
+                found[one["name"]] = Estimate(one["value"], one["std"])
     return found
 
 

@@ -7,17 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import closed_loop, curves, excerpts, figures, load_report
-from adaptdrive.analysis.closed_loop import LoopCourse
+from adaptdrive.analysis.curves import Array, Response, response_of
 from adaptdrive.analysis.record import SessionLoad, identify_session
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
-from adaptdrive.control.signals import Mode, Order, Stage
+from adaptdrive.control.signals import Mode
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import ConfigurationError, IdentificationError
@@ -38,14 +37,14 @@ class Comparison:
     """
 
     found: SessionLoad
-    recorded: LoopCourse
-    repeated: LoopCourse
-    changed: LoopCourse
+    recorded: Response
+    repeated: Response
+    changed: Response
     idle: tuple[str, ...]
 
     @property
-    def courses(self) -> dict[str, LoopCourse]:
-        """The three courses by their names in table, values and figure."""
+    def responses(self) -> dict[str, Response]:
+        """The three responses by their names in table, values and figure."""
         return {"recorded": self.recorded, "simulated": self.repeated, "changed": self.changed}
 
 
@@ -78,7 +77,7 @@ def what_if(
     run = [one for one in runs if one.begin_s <= part.begin_s][-1]
     return Comparison(
         found=found,
-        recorded=_course(found, run, pl.DataFrame(run.columns), part.begin_s),
+        recorded=_response(found, run, run.columns, part.begin_s),
         repeated=_simulated(found, run, found.configuration, part.begin_s),
         changed=_simulated(found, run, changed, part.begin_s),
         idle=tuple(one for one in settings if _is_idle(found, source, one)),
@@ -117,59 +116,41 @@ def _is_idle(found: SessionLoad, source: Path, setting: str) -> bool:
 
 
 def _simulated(
+    found: SessionLoad, stretch: excerpts.Stretch, configuration: Configuration, begin_s: float
+) -> Response:
+    own, volts = found.configuration, float(stretch.columns["boost_voltage_V"][0])
+    plant = excerpts.disturbed_plant(found.load, build_load(own), stretch)
+    pole = configuration.load.pole if configuration.load.pole != own.load.pole else None
+    prior = _trusted(found, stretch)
+    run = closed_loop.simulate(configuration, plant, stretch.orders(pole), volts, prior)
+    return _response(found, stretch, run.columns, begin_s, run.fault)
+
+
+def _trusted(found: SessionLoad, stretch: excerpts.Stretch) -> tuple[float, ...] | None:
+    """Return the parameters that the daemon had trusted by the start of a run of the drive."""
+    if stretch.begin_s > found.configuration.load.period_s:
+        window = curves.find_window(found.session, None, stretch.begin_s)
+        shown = curves.read_curves(found.session, window)
+        accepted = np.flatnonzero(shown.slow.get("accepted", ()))
+        if len(accepted):
+            return tuple(float(shown.estimates[name][0][accepted[-1]]) for name in found.nominal)
+    return found.session.info.prior
+
+
+def _response(
     found: SessionLoad,
     stretch: excerpts.Stretch,
-    configuration: Configuration,
-    begin_s: float,
-) -> LoopCourse:
-    poles, by_hand_V = stretch.columns["pole"], np.nan_to_num(stretch.columns["manual_V"])
-    if configuration.load.pole != found.configuration.load.pole:
-        poles = np.full(len(poles), configuration.load.pole)
-    reference, modes = stretch.columns["reference"], tuple(Mode)
-    steady = np.nan_to_num(stretch.columns["steady"]) > 0.5
-
-    def order(number: int) -> Order:
-        mode, pole = modes[stretch.modes[number]], float(poles[number])
-        asked, hand_V = float(reference[number]), float(by_hand_V[number])
-        return Order(Stage.RUN, asked, mode, pole, hand_V, bool(steady[number]))
-
-    run = closed_loop.run_loop(
-        configuration,
-        excerpts.disturbed_plant(found.load, build_load(found.configuration), stretch),
-        order,
-        len(reference),
-        _start(found, stretch),
-    )
-    return _course(found, stretch, run.ticks, begin_s, run.fault)
-
-
-def _start(found: SessionLoad, stretch: excerpts.Stretch) -> closed_loop.Start:
-    """Return v_bst at the start of a run of the drive, and what the daemon had trusted by then."""
-    volts, prior = float(stretch.columns["boost_voltage_V"][0]), found.session.info.prior
-    if stretch.begin_s <= found.configuration.load.period_s:
-        return volts, prior
-    window = curves.find_window(found.session, None, stretch.begin_s)
-    shown = curves.read_curves(found.session, window)
-    accepted = np.flatnonzero(shown.slow.get("accepted", ()))
-    if len(accepted):
-        prior = tuple(float(shown.estimates[name][0][accepted[-1]]) for name in found.nominal)
-    return volts, prior
-
-
-def _course(
-    found: SessionLoad,
-    stretch: excerpts.Stretch,
-    ticks: pl.DataFrame,
+    ticks: dict[str, Array],
     begin_s: float,
     fault: str = "",
-) -> LoopCourse:
-    """Return the course from `begin_s` on; all of it where a fault ended the run before."""
+) -> Response:
+    """Return the response from `begin_s` on; all of it where a fault ended the run before."""
     samples = stretch.samples_per_period
-    ends = np.arange(1.0, len(ticks) // samples + 1.0)
+    ends = np.arange(1.0, len(ticks["output"]) // samples + 1.0)
     ends_s = stretch.begin_s + samples * stretch.period_s * ends
     first = int(np.argmax(ends_s > begin_s))
     section = found.configuration.load
-    return closed_loop.course_of(ticks[first * samples :], samples, ends_s[first:], section, fault)
+    return response_of(ticks, samples, ends_s[first:], section, fault)
 
 
 # A session and the same with other settings, as a table, as values, and as a figure.
@@ -188,10 +169,10 @@ def as_text(comparison: Comparison) -> str:
     """Return the comparison as a table."""
     info = comparison.found.session.info
     units = {"y": info.output_unit, "v": info.manipulated.unit}
-    courses = comparison.courses
-    rows = [f"{'':<28}" + "".join(f"{name:>12}" for name in courses)]
+    responses = comparison.responses
+    rows = [f"{'':<28}" + "".join(f"{name:>12}" for name in responses)]
     for name, key, factor, quantity in _ROWS:
-        values = (factor * getattr(one.quality, key) for one in courses.values())
+        values = (factor * getattr(one.quality, key) for one in responses.values())
         texts = ("-" if math.isnan(value) else f"{value:.4g}" for value in values)
         named = name.format(info.manipulated.name)
         label = f"{named} {units.get(quantity, quantity)}".rstrip()
@@ -211,7 +192,7 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
     return {
         name: {key: load_report.known(value) for key, value in asdict(one.quality).items()}
         | {"fault": one.fault}
-        for name, one in comparison.courses.items()
+        for name, one in comparison.responses.items()
     }
 
 
@@ -251,5 +232,5 @@ def draw_comparison(comparison: Comparison, settings: tuple[str, ...]) -> bytes:
 
 def _draw(axes: Axes, comparison: Comparison, name: str) -> None:
     looks = (figures.REFERENCE, figures.FIXED, figures.ADAPTIVE)
-    for (label, one), look in zip(comparison.courses.items(), looks, strict=True):
+    for (label, one), look in zip(comparison.responses.items(), looks, strict=True):
         axes.plot(one.time_s, getattr(one, name), label=label, **look)

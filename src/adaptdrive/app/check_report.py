@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from adaptdrive.app import loads, ports
 from adaptdrive.app.examine import advice
-from adaptdrive.app.settings import daemon_settings
+from adaptdrive.app.settings import machine_limits
 from adaptdrive.config import Configuration
 from adaptdrive.config.root import DriveSection
 from adaptdrive.control.signals import Command, Reach
@@ -129,13 +129,13 @@ def _sensor_rows(configuration: Configuration) -> Iterator[Row]:
 
 def _facts(configuration: Configuration) -> Iterator[Fact]:
     """Yield the limits that are no times."""
-    machine = daemon_settings(configuration).machine
+    machine = machine_limits(configuration)
     yield from _watched(configuration)
     yield from _start(configuration, machine)
     yield from _capacitor(configuration)
     yield from _reach(configuration, machine.reach)
     poles = f"{machine.pole_min:g}…{machine.pole_max:g}"
-    yield "poles an operator may ask for", poles, "load.pole_min, load.pole_max, load.model"
+    yield "poles an operator may ask for", poles, "load.pole, load.model"
     yield from _response(loads.response_limits(configuration))
 
 
@@ -209,7 +209,7 @@ def sound_report(configuration: Configuration, source: Path) -> Report:
         configuration: The configuration.
         source: Its file.
     """
-    load, machine = configuration.load, daemon_settings(configuration).machine
+    load, machine = configuration.load, machine_limits(configuration)
     return {
         "config": escaped(str(source)),
         "valid": True,

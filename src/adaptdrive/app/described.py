@@ -29,7 +29,7 @@ clock_ticks = {ticks}  # half line cycles from one such message to the next
 # command_timeout_s = 0.1  # the drive's own: it opens its bridge without commands
 """
 _PROOF = """
-# Proposed by the names of the signals: compare algorithm and covered bytes with the manual.
+# Proposed by the names of the signals: compare form and covered bytes with the manual.
 [bus.integrity.{message}]
 """
 _CANOPEN = """\
@@ -92,7 +92,7 @@ def _proofs(used: Iterable[Message]) -> Iterator[str]:
         if counter:
             yield f'counter = "{counter}"\n'
         if checksum:
-            yield f'checksum = "{checksum}"\nalgorithm = "sae-j1850"\n'
+            yield f'checksum = "{checksum}"\n'
 
 
 def _signals(choices: Choices) -> Iterator[str]:

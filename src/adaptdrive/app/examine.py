@@ -162,7 +162,7 @@ def _pole_flaws(configuration: Configuration) -> Iterator[Flaw]:
     if standing:
         remedy = f"poles of {standing[0]:g}…{standing[-1]:g} do"
     else:
-        remedy = "no pole of load.pole_min…load.pole_max does: compare load.period_s and load.model"
+        remedy = "no pole does: compare load.period_s and load.model"
     yield Flaw("load.pole", f"{problem}; {remedy}")
 
 

@@ -23,6 +23,14 @@ MODEL_ERROR = 0.1
 """Error of each parameter that the fixed gains must stand: copper has 10 % more resistance when it
 is 25 K warmer, and commissioning is seldom wrong by more."""
 
+_FASTEST = 0.5
+"""Fastest pole that an operator may ask for, where `load.pole` is slower: most of an error is gone
+after one slow period."""
+
+_SLOWEST = 0.98
+"""Slowest pole that an operator may ask for, where `load.pole` is faster: a response of fifty slow
+periods."""
+
 _POLE_STEP = 0.01
 """Distance of the poles that are tried."""
 
@@ -96,7 +104,7 @@ def pole_range(
 ) -> tuple[float, float]:
     """Return the fastest and the slowest pole that may be asked for.
 
-    All from one to the other stand, and lie within `load.pole_min` and `load.pole_max`.
+    All from one to the other stand, and lie within `_FASTEST` and `_SLOWEST`, or `load.pole`.
 
     Args:
         settings: The design.
@@ -105,19 +113,19 @@ def pole_range(
     """
     plants = _plants(settings, load, section.period_s)
     ends = []
-    for end in (section.pole_min, section.pole_max):
+    for end in (min(_FASTEST, section.pole), max(_SLOWEST, section.pole)):
         after = itertools.takewhile(lambda p: _stands(plants, p), _poles(section.pole, end))
         ends.append([section.pole, *after][-1])
     return ends[0], ends[1]
 
 
 def standing_poles(settings: ControllerSettings, load: Load, section: LoadSection) -> list[float]:
-    """Return the poles of `load.pole_min` to `load.pole_max` that stand; `load.pole` is tried too.
+    """Return the poles of `_FASTEST` to `_SLOWEST` that stand; `load.pole` is tried too.
 
     Arguments as of `pole_range`.
     """
     plants = _plants(settings, load, section.period_s)
-    poles = [section.pole_min, *_poles(section.pole_min, section.pole_max), section.pole]
+    poles = [_FASTEST, *_poles(_FASTEST, _SLOWEST), section.pole]
     return sorted(pole for pole in set(poles) if _stands(plants, pole))
 
 

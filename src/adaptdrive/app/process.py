@@ -21,7 +21,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from adaptdrive.app import loads, ports
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, fast_settings, machine_limits
 from adaptdrive.config import Configuration
 from adaptdrive.config.polled import RtuLink
 from adaptdrive.control.controller import Controller
@@ -165,11 +165,12 @@ class WarmUp:
         """
         self._configuration = configuration
         self._time_s = 0.0
-        settings, law = daemon_settings(configuration), controller_settings(configuration)
+        law, limits = controller_settings(configuration), machine_limits(configuration)
         self._controller = Controller(law, loads.build_load(configuration))
-        self._machine = state_machine.Machine(settings.machine)
-        self._loop = fast_loop.FastLoop(port, self._controller, self._machine, settings.fast, self)
-        load, reach = configuration.load, settings.machine.reach
+        self._machine = state_machine.Machine(limits)
+        fast = fast_settings(configuration)
+        self._loop = fast_loop.FastLoop(port, self._controller, self._machine, fast, self)
+        load, reach = configuration.load, limits.reach
         ends = reach.nearest(load.reference_min), reach.nearest(load.reference_max)
         self._output = 0.5 * sum(ends)
 

@@ -24,7 +24,7 @@ from adaptdrive.control.estimation.direct import METHODS
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.devices.description import description_text
-from adaptdrive.recording import journal, journal_files, recorder, records, session
+from adaptdrive.recording import log_files, recorder, records, session
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import NOT_JSON, RecordingError, escaped
@@ -43,7 +43,7 @@ _MEANING: dict[str, Any] = {
 }
 """Keys of measurement, drive and input; `adaptdrive commission` changes none of them."""
 
-_DESCRIPTIONS = ("database", "databases", "eds")
+_DESCRIPTIONS = ("database", "eds")
 """Keys of a bus that name a file in which scales and offsets of its signals are."""
 
 _PLACES: Any = {"bus": set(_DESCRIPTIONS), "sensor_bus": {"__all__": set(_DESCRIPTIONS)}}
@@ -240,7 +240,7 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
     configuration: Configuration,
     text: str,
     hub: Hub,
-    recalled: journal_files.Recalled,
+    recalled: log_files.Recalled,
     learnt: Learnt,
     start_thread: Callable[[], None],
 ) -> recorder.Recorder:
@@ -265,7 +265,7 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
         segment_s=recording.segment_s,
         keep=records.Keep(recording.keep_days, None if size is None else round(size * 1e6)),
     )
-    pace = journal.RecordingPace(flush_s=recording.flush_s, start_thread=start_thread)
+    pace = records.Pace(start_thread=start_thread)
     clock = lambda: (now_s(), time.time())  # noqa: E731
     return recorder.Recorder(*place_of(configuration), header, hub, clock, pace, recalled)
 

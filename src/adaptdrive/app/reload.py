@@ -16,9 +16,9 @@ from adaptdrive.app.recording import descriptions, state_directory
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import digest_of, read_text
 from adaptdrive.mqtt.service import COMMAND_PATIENCE_S
-from adaptdrive.recording.journal_files import Recalled
+from adaptdrive.recording.log_files import Recalled
 from adaptdrive.runtime import reports, requests, tick_support
-from adaptdrive.util import clock, files, log
+from adaptdrive.util import clock, files, lines
 from adaptdrive.util.errors import ConfigurationError, RefusedError
 
 # The configuration of the next run of a daemon, taken from the file between two runs.
@@ -145,9 +145,9 @@ class RunCourse:
         self._fed_until_s = -math.inf
 
 
-# Events of a daemon: those that its building gives, and all of them in the log of its process.
+# Events of a daemon: those that its building gives, and all of them on stderr.
 
-_LEVELS: dict[reports.Severity, log.Level] = {
+_LEVELS: dict[reports.Severity, lines.Level] = {
     reports.Severity.INFO: "info",
     reports.Severity.WARNING: "warning",
     reports.Severity.ALARM: "error",
@@ -181,8 +181,8 @@ def start_events(
         yield reports.Event("recording", reports.Severity.WARNING, detail, -1)
 
 
-async def log_events(events: reports.Subscription, kept: reports.Keep) -> None:
-    """Write every event to the log until cancelled, those of the last moment included.
+async def write_events(events: reports.Subscription, kept: reports.Keep) -> None:
+    """Write a line for each event until cancelled, those of the last moment included.
 
     Args:
         events: Subscription to events.
@@ -193,13 +193,13 @@ async def log_events(events: reports.Subscription, kept: reports.Keep) -> None:
         while True:
             taken = await events.take()
             await kept()
-            _log(taken)
+            _write(taken)
             taken = ()
     finally:
-        _log(taken)
-        _log(events.drain())
+        _write(taken)
+        _write(events.drain())
 
 
-def _log(events: Iterable[reports.Event]) -> None:
+def _write(events: Iterable[reports.Event]) -> None:
     for event in events:
-        log.log(_LEVELS[event.severity], event.detail, kind=event.kind, tick=event.tick)
+        lines.write_line(_LEVELS[event.severity], event.detail, kind=event.kind, tick=event.tick)

@@ -1,4 +1,4 @@
-"""`adaptdrive run`: the daemon of one drive, and its log, which never waits for a reader.
+"""`adaptdrive run`: the daemon of one drive, whose lines never wait for a reader.
 
 A pipe without a reader blocks its writer, and one that was closed raises. Neither may
 reach the thread that controls a drive. What the queue cannot hold is dropped, oldest first, and
@@ -28,19 +28,24 @@ import msgspec
 
 from adaptdrive import __version__, build_name
 from adaptdrive.app import examine, loads, ports, process, recording, reload
-from adaptdrive.app.settings import controller_settings, daemon_settings, operator_profile
+from adaptdrive.app.settings import (
+    controller_settings,
+    fast_settings,
+    machine_limits,
+    operator_profile,
+)
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
 from adaptdrive.mqtt.service import MqttService, OperatorLog
-from adaptdrive.recording import journal_files, records
-from adaptdrive.recording.journal_files import recall as recall_log
+from adaptdrive.recording import log_files, records
+from adaptdrive.recording.log_files import recall as recall_log
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.runtime import realtime, reports, tick_support
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.util import clock
 from adaptdrive.util.errors import AdaptdriveError, first_error
-from adaptdrive.util.log import bind, configured, line, log
+from adaptdrive.util.lines import bind, configured, line, write_line
 
 # Output that never waits for its reader: lines go through a bounded queue to a thread.
 
@@ -50,7 +55,7 @@ LINES_HELD = 500
 PATIENCE_S = 2.0
 """Longest wait for a reader at the end of the process."""
 
-_LOST = "log lines lost: the reader of this log had stopped reading"
+_LOST = "lines lost: the reader of stderr had stopped reading"
 
 
 class QueuedStream(io.TextIOBase):
@@ -246,7 +251,7 @@ async def _serve(
         complete &= await _run(present, course, start_thread)
     for service in services:
         await _end(service)
-    log("info", "stopped")
+    write_line("info", "stopped")
     return complete
 
 
@@ -271,7 +276,9 @@ async def _run(
     daemon = Daemon(
         port=port,
         controller=controller,
-        settings=daemon_settings(configuration),
+        configuration=configuration,
+        machine=machine_limits(configuration),
+        fast=fast_settings(configuration),
         clock=clock.now_s,
         hub=hub,
         manager=tick_support.ServiceManager(os.environ),
@@ -280,13 +287,13 @@ async def _run(
         prepare=course.prepare,
     )
     bind(drive=configuration.drive.name, session=recorder.session_name)
-    log("info", "starting", version=__version__, build=build_name(), bus=port.description)
+    write_line("info", "starting", version=__version__, build=build_name(), bus=port.description)
     async with asyncio.TaskGroup() as tasks, contextlib.AsyncExitStack() as ending:
-        # ended in reverse: broker and log receive the last reports of those that end before them
+        # ended in reverse: broker and stderr receive the last reports of those that end before them
         def start(name: str, service: Coroutine[Any, Any, None]) -> None:
             ending.push_async_callback(_end, tasks.create_task(service, name=name))
 
-        start("log", reload.log_events(events, hub.kept))
+        start("lines", reload.write_events(events, hub.kept))
         start("recorder", recorder.run(daemon.opened))
         profile, around = operator_profile(configuration), operator_log(recalled, recorder)
         start("mqtt", MqttService(profile, configuration.mqtt, daemon, hub, around).run())
@@ -313,7 +320,7 @@ async def _run(
     return recorder.complete
 
 
-def operator_log(recalled: journal_files.Recalled, recorder: Recorder) -> OperatorLog:
+def operator_log(recalled: log_files.Recalled, recorder: Recorder) -> OperatorLog:
     """Return the log as the operators' side sees it.
 
     Args:

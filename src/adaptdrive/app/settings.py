@@ -9,7 +9,7 @@ from adaptdrive.app import loads
 from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration, consistency
 from adaptdrive.config.bus import CanBus, CanOpenBus
-from adaptdrive.config.load import ERROR_SHARE, FORGETTING, NOISE_SHARE, MotorSection
+from adaptdrive.config.load import FORGETTING, MotorSection
 from adaptdrive.control import fast, thresholds
 from adaptdrive.control.estimation.direct import METHODS
 from adaptdrive.control.loads.discretise import KICK_SHARE, kick_factors
@@ -24,7 +24,7 @@ from adaptdrive.control.settings import (
 )
 from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.mqtt.contract import Output, Profile
-from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings, MachineLimits
+from adaptdrive.runtime.settings import FastLoopSettings, MachineLimits
 from adaptdrive.safety import frames, plausibility
 from adaptdrive.safety.interlocks import Limits
 from adaptdrive.safety.timing import timing_of
@@ -75,8 +75,43 @@ _LOWEST_LINE = 0.5
 _SWING_SHARE = 0.01
 """Smallest peak that counts as a swing, as a share of the range of set-points."""
 
+_ERROR_SHARE = 0.1
+"""Distance from the response asked for that must not last, as a share of the range of
+set-points."""
+
+_NOISE_SHARE = 0.04
+"""Largest standard deviation of V_c that noise may cause, as a share of its range."""
+
+_CLIP = 5.0
+"""Mean deviations about its prediction to which a fast sample is clipped."""
+
+_GATE = 1.2
+"""Multiple of 1 - ρ above which rᵀPr lets a sample teach; below it the output does not move."""
+
+_DAMPING_MIN = 0.9
+"""Smallest damping of an estimated load: real time constants have 1."""
+
+_SPREAD_MAX = 0.05
+"""Largest error of the response to a step within the confidence, as a share of the step."""
+
+_RESIDUAL_MARGIN = 1.5
+"""Largest prediction error, over that of the nominal model."""
+
+_CONFIDENCE = 2.0
+"""Standard deviations of an estimate within which its gains must keep the loop stable."""
+
+_DWELL_PERIODS = 7
+"""Good estimates in a row before the first goes live."""
+
+_BLEND_PERIODS = 5
+"""Slow periods over which one law hands over to the other."""
+
+_PROBE_S = 300.0
+"""Time without movement after which the load counts as unknown, and least time between probes."""
+
 _OPEN = thresholds.UNKNOWN * thresholds.UNKNOWN / thresholds.NOISE_FLOOR
-"""P[0] of the exact design, over σ²: nothing is known of any parameter, at the smallest σ."""
+"""P[0] of the exact design, over σ²: nothing is known of any parameter, at the smallest σ, so
+that the first alarm is not the nominal model's fault."""
 
 PAPER_COVARIANCE = 1.0e4
 """P[0] of the paper."""
@@ -97,7 +132,7 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
             latency_ticks=load.latency_ticks,
             samples=load.samples if exact else 1,
             nominal_tick_s=configuration.drive.half_cycle_s,
-            clip=load.clip if exact else 0.0,
+            clip=_CLIP if exact else 0.0,
             lag_ticks=_lag_ticks(configuration),
         ),
         learning=_learning(configuration) if exact else paper_learning(configuration),
@@ -105,18 +140,6 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
         if exact
         else SupervisionLimits(_periods(configuration, warm_up_s)),
         probing=_probing(configuration),
-        govern=load.govern,
-    )
-
-
-def daemon_settings(configuration: Configuration) -> DaemonSettings:
-    """Return all settings of the runtime."""
-    return DaemonSettings(
-        refused_share=configuration.interlocks.refused_share,
-        machine=_machine_limits(configuration),
-        fast=_fast_loop(configuration),
-        report_s=1.0 / configuration.mqtt.telemetry_Hz,
-        realtime=configuration.realtime,
     )
 
 
@@ -136,7 +159,6 @@ def _power_stage(configuration: Configuration) -> PowerStage:
         boost_reference_min_V=limits.boost_reference_min_V,
         boost_reference_max_V=limits.boost_reference_max_V,
         load_power_max_W=limits.load_power_max_W,
-        feed_forward=loop.feed_forward,
         capacitance_F=drive.boost_capacitance_F,
         line_voltage_min_V=_LOWEST_LINE * drive.line_voltage_V,
         holds_voltage=loop.where == "drive",
@@ -167,16 +189,14 @@ def _learning(configuration: Configuration) -> EstimatorSettings:
     middle_V = 0.5 * (low_V + high_V if low_V >= 0.0 else max(-low_V, abs(high_V)))
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
     physical = METHODS[estimator.method].physical
-    directional = estimator.alert and physical
     return EstimatorSettings(
         tau_lambda_s=estimator.tau_lambda_s,
-        dead_band=estimator.dead_band,
-        gate=estimator.gate,
-        alert=estimator.alert,
-        initial_state=estimator.initial_state,
+        gate=_GATE,
+        alert=True,
+        initial_state=True,
         method=estimator.method,
         forgetting=estimator.forgetting or FORGETTING,
-        initial_covariance=_initial_covariance(configuration),
+        initial_covariance=_OPEN if physical else PAPER_COVARIANCE,
         settle_periods=_periods(configuration, estimator.settle_s),
         output_scale=load.gain * middle,
         input_scale=middle,
@@ -185,34 +205,26 @@ def _learning(configuration: Configuration) -> EstimatorSettings:
         bias=estimator.bias or charges,
         resolution=configuration.load.resolution,
         charge=charges and physical,
-        drifts=configuration.load.traits.drifts and directional,
+        drifts=configuration.load.traits.drifts and physical,
     )
-
-
-def _initial_covariance(configuration: Configuration) -> float:
-    """P[0] over σ²: open enough that the first alarm is not the nominal model's fault."""
-    estimator = configuration.estimator
-    if estimator.initial_covariance is not None:
-        return estimator.initial_covariance
-    return _OPEN if METHODS[estimator.method].physical else PAPER_COVARIANCE
 
 
 def _supervision(configuration: Configuration) -> SupervisionLimits:
     supervisor, load = configuration.supervisor, configuration.load
-    reference_range, limit = load.reference_max - load.reference_min, supervisor.error_limit
+    reference_range = load.reference_max - load.reference_min
     return SupervisionLimits(
         ratio_min=supervisor.ratio_min,
         ratio_max=supervisor.ratio_max,
         revokes=True,
-        damping_min=supervisor.damping_min,
-        spread_max=supervisor.spread_max,
-        residual_margin=supervisor.residual_margin,
-        dwell_periods=supervisor.dwell_periods,
-        blend_periods=supervisor.blend_periods,
-        confidence=supervisor.confidence,
+        damping_min=_DAMPING_MIN,
+        spread_max=_SPREAD_MAX,
+        residual_margin=_RESIDUAL_MARGIN,
+        dwell_periods=_DWELL_PERIODS,
+        blend_periods=_BLEND_PERIODS,
+        confidence=_CONFIDENCE,
         warm_up_periods=_periods(configuration, supervisor.warm_up_s),
         saturated_periods=_periods(configuration, supervisor.saturated_s),
-        error_limit=ERROR_SHARE * reference_range if limit is None else limit,
+        error_limit=_ERROR_SHARE * reference_range,
         swing_min=_SWING_SHARE * reference_range,
         response_periods=_periods(configuration, supervisor.response_s),
         response_distance=supervisor.response_distance * reference_range,
@@ -228,7 +240,7 @@ def _probing(configuration: Configuration) -> Probing:
     scale = 1.0 if load.traits.charges else load.reference_max - load.reference_min
     return Probing(
         amplitude=load.probe_share * scale,
-        stale_periods=_periods(configuration, load.probe_s),
+        stale_periods=_periods(configuration, _PROBE_S),
         settle_periods=_periods(configuration, configuration.estimator.settle_s),
         lowest=load.reference_min,
         highest=load.reference_max,
@@ -239,9 +251,7 @@ def _noise_max(configuration: Configuration) -> float:
     """Largest noise of the input, converted from volts in the middle of the range of V_c."""
     limits, load = configuration.drive.limits, build_load(configuration)
     low_V, high_V = limits.boost_reference_min_V, limits.boost_reference_max_V
-    noise_V = configuration.load.noise_V
-    if noise_V is None:
-        noise_V = NOISE_SHARE * (high_V - low_V)
+    noise_V = _NOISE_SHARE * (high_V - low_V)
     middle_V, gain, exponent = 0.5 * (low_V + high_V), load.input_gain, load.input_exponent
     upper, lower = middle_V + 0.5 * noise_V, middle_V - 0.5 * noise_V
     return to_input(upper, gain, exponent) - to_input(lower, gain, exponent)
@@ -251,7 +261,8 @@ def _periods(configuration: Configuration, time_s: float) -> int:
     return math.ceil(time_s / configuration.load.period_s)
 
 
-def _machine_limits(configuration: Configuration) -> MachineLimits:
+def machine_limits(configuration: Configuration) -> MachineLimits:
+    """Return the limits of an operator's requests."""
     load, drive = configuration.load, configuration.drive
     settings, model = controller_settings(configuration), build_load(configuration)
     pole_min, pole_max = loads.pole_range(settings, model, load)
@@ -269,7 +280,8 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
     )
 
 
-def _fast_loop(configuration: Configuration) -> FastLoopSettings:
+def fast_settings(configuration: Configuration) -> FastLoopSettings:
+    """Return the settings of the fast loop."""
     bus = configuration.bus
     return FastLoopSettings(
         latency_ticks=configuration.load.latency_ticks,
@@ -295,8 +307,7 @@ def paper_learning(configuration: Configuration) -> EstimatorSettings:
         method=estimator.method,
         forgetting=estimator.forgetting or load.traits.paper_forgetting,
         tau_lambda_s=estimator.tau_lambda_s,
-        dead_band=estimator.dead_band,
-        initial_covariance=estimator.initial_covariance or PAPER_COVARIANCE,
+        initial_covariance=PAPER_COVARIANCE,
         bias=load.traits.charges,
     )
 
@@ -307,7 +318,7 @@ def paper_learning(configuration: Configuration) -> EstimatorSettings:
 def operator_profile(configuration: Configuration) -> Profile:
     """Return names, units and limits of a drive, which operators need in addition to its state."""
     load, drive = configuration.load, configuration.drive.limits
-    trips, machine = trip_limits(configuration), daemon_settings(configuration).machine
+    trips, machine = trip_limits(configuration), machine_limits(configuration)
     return Profile(
         drive=configuration.drive.name,
         output=Output(load.output_name, load.output_unit),

@@ -34,7 +34,7 @@ _OUTPUTS: Mapping[str, str] = {
     "battery-modbus-tcp": 'current = { address = 19, table = "holding", type = "int32", '
     f"scale = 1.0e-4, {_AMPERES}",
     "battery-modbus-rtu": 'current = { address = 4, table = "input", type = "float32", '
-    f'word_order = "little", {_AMPERES}',
+    f'order = "CDAB", {_AMPERES}',
     "battery-scpi": f'current = {{ query = "MEAS:CURR?", {_AMPERES}',
     "bath-scpi": 'temperature = { query = "MEAS:TEMP?", unit = "K" }  # above the inflow',
 }

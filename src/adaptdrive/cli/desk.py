@@ -146,9 +146,11 @@ class _Desk:
             websocket = await self._start_broker()
         if simulate is not None:
             words = ["device", str(simulate), f"--broker={self._broker.host}:{self._broker.port}"]
-            log = self._log("drive")
-            await self._processes.start("simulated drive", "adaptdrive_sim", words, log)
-        await self._processes.start("daemon", _CLI, ["run", str(self._path)], self._log("daemon"))
+            output = self._output("drive")
+            await self._processes.start("simulated drive", "adaptdrive_sim", words, output)
+        await self._processes.start(
+            "daemon", _CLI, ["run", str(self._path)], self._output("daemon")
+        )
         await self._start_panel(websocket)
 
     async def commission(self) -> None:
@@ -181,12 +183,12 @@ class _Desk:
         await self._processes.stop()
         self._ports.close()
 
-    def _log(self, name: str) -> Path:
+    def _output(self, name: str) -> Path:
         from adaptdrive.app.recording import state_directory  # noqa: PLC0415 - it is large
 
         folder = state_directory()
         folder.mkdir(parents=True, exist_ok=True)
-        return folder / f"{self._drive}.{name}.log"
+        return folder / f"{self._drive}.{name}.out"
 
     def _print(self, line: str) -> None:
         print(line, flush=True)
@@ -204,8 +206,8 @@ class _Desk:
         websocket = self._ports.take(usual=_WEBSOCKET)
         self._print(f"broker: none answered at {place}; an embedded one serves this machine only")
         listeners = [f"{processes.HOST}:{broker.port}", f"{processes.HOST}:{websocket}"]
-        log = self._log("broker")
-        child = await self._processes.start("broker", processes.BROKER, listeners, log)
+        output = self._output("broker")
+        child = await self._processes.start("broker", processes.BROKER, listeners, output)
         await child.until_listening(broker.port)
         return websocket
 
@@ -218,7 +220,7 @@ class _Desk:
             return
         page, address = self._ports.take(usual=_PAGE), f"ws://{host}:{websocket}/mqtt"
         words = ["panel", "--no-open", f"--port={page}", f"--broker={address}"]
-        panel = await self._processes.start("panel", _CLI, words, self._log("panel"))
+        panel = await self._processes.start("panel", _CLI, words, self._output("panel"))
         await panel.until_listening(page)
         self._print(f"panel: {panel_address(page, address)}")
 
@@ -241,7 +243,7 @@ _ONE_REPORT = threading.Lock()
 
 
 class PanelHandler(SimpleHTTPRequestHandler):
-    """Serves the files of the panel and reports; lists no folder and writes no log."""
+    """Serves the files of the panel and reports; lists no folder and writes no line."""
 
     _headers_sent = HEADERS
 

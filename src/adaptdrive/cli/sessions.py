@@ -15,10 +15,10 @@ from adaptdrive.cli.explain import with_kind
 from adaptdrive.cli.options import Json, Settings, print_each, print_json, refusing
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.recording import journal_files, reader, segments
+from adaptdrive.recording import log_files, reader, retention, segments
 from adaptdrive.recording import replay as replaying
 from adaptdrive.recording import session as folders
-from adaptdrive.recording.records import EventRow, Keep
+from adaptdrive.recording.records import EventRow, Keep, Kind
 from adaptdrive.runtime.reports import EVENT_KINDS
 from adaptdrive.safety.trips import kind_of, remedy
 from adaptdrive.util.errors import ConfigurationError, Flaw, RecordingError, escaped, nearest
@@ -123,17 +123,18 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
         as_json: Print JSON.
 
     Returns:
-        0 when nothing is damaged, nothing is missing and nothing waits to be written, else 1.
+        0 when nothing is damaged or missing, and no session was cut that the next start closes.
     """
     status = 0
     verdicts: dict[str, object] = {}
     named = [(name, _find(name, directory)) for name in sessions]
     every = folders.session_directories(_folder(directory), folders.PARTS)
     found = named or [(path.name, path) for path in every]
-    for left in () if sessions else filter(_is_left, (path for _, path in found)):
-        status = 1
-        text = f"{left.name}: data and events that the next start of the daemon writes"
-        print(f"adaptdrive: {text} into it", file=sys.stderr)
+    for path in () if sessions else (path for _, path in found):
+        if left := _left(path):
+            status |= log_files.last_of(left, Kind.END) is None
+            text = f"{path.name}: data and events that the next start of the daemon writes"
+            print(f"adaptdrive: {text} into it", file=sys.stderr)
     for name, path in found:
         try:
             verdict = reader.verify(reader.read_session(path))
@@ -169,7 +170,7 @@ def prune(
         as_json: Print JSON: a sentence for each removal.
     """
     keep = Keep(keep_days, None if keep_MB is None else round(keep_MB * 1e6))
-    removals = segments.prune(_folder(directory), keep, datetime.now(UTC))
+    removals = retention.prune(_folder(directory), keep, datetime.now(UTC))
     print_each(((sentence, sentence) for sentence in removals), as_json)
     return 0
 
@@ -210,14 +211,14 @@ def _shown(events: list[EventRow]) -> list[EventRow]:
     return [one for one in events if one not in counts[:-1]]
 
 
-def _is_left(path: Path) -> bool:
-    """Return whether a daemon that was killed has left a part of a session in its log."""
+def _left(path: Path) -> list[log_files.LogFile]:
+    """Return the files in the log with what a daemon that is gone has left of a session there."""
     try:
         info = folders.read_info(path)
-        unarchived = journal_files.unarchived(path, info)
-        return bool(unarchived) and not journal_files.in_progress(path, info)
+        found = log_files.unarchived(path, info)
+        return [] if log_files.in_progress(path, info) else found
     except RecordingError:
-        return False  # it is verified all the same
+        return []  # it is verified all the same
 
 
 def _condition(verdict: reader.Verification) -> str:
@@ -229,7 +230,7 @@ def _condition(verdict: reader.Verification) -> str:
 def _facts(path: Path, info: folders.SessionInfo) -> dict[str, Any]:
     return {
         "session": escaped(path.name),
-        "bytes": segments.size_of(path),
+        "bytes": retention.size_of(path),
         "trips": sorted(one.name for one in path.glob("trip-*")),
         "info": info,
     }

@@ -12,7 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import figures, load_report
-from adaptdrive.analysis.closed_loop import LoopCourse, course_of, run_loop
+from adaptdrive.analysis.closed_loop import simulate
+from adaptdrive.analysis.curves import Response, response_of
 from adaptdrive.analysis.excerpts import IdentifiedPlant
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.commissioning.course import Outcome, Samples
@@ -173,7 +174,7 @@ _POWER_SHARE = 0.5
 """Power of the load at the highest V_c over the largest power of the drive."""
 
 
-def refusal_of(proposed: LoopCourse, present: LoopCourse) -> str:
+def refusal_of(proposed: Response, present: Response) -> str:
     """Return why settings are not to be put to use rather than the present ones.
 
     Args:
@@ -194,7 +195,7 @@ def refusal_of(proposed: LoopCourse, present: LoopCourse) -> str:
 
 def predict(
     identified: result.IdentifiedLoad, configuration: Configuration, rest_V: float, move: float
-) -> LoopCourse:
+) -> Response:
     """Run the fixed controller on the identified load over a step of the set-point.
 
     Args:
@@ -204,30 +205,27 @@ def predict(
         move: Size of the step.
 
     Returns:
-        Its course, with the time of the middle of each slow period since the step.
+        Its response, with the time of the middle of each slow period since the step.
     """
     load, section = build_load(configuration), configuration.load
     gain = identified.numerator[-1] / identified.denominator[-1]
     fed = to_input(rest_V, load.input_gain, load.input_exponent)
     rest = gain * (fed + identified.input_offset.value)
     samples = configuration.ticks_per_period // configuration.bus.ticks_per_reading
-    first = _PERIODS_BEFORE * samples
-
-    def order(number: int) -> Order:
-        reference = rest if number < first else rest + move
-        return Order(Stage.RUN, reference, Mode.FIXED, section.pole)
-
     after = max(_PERIODS_AFTER, math.ceil(_SETTLED / (1.0 - section.pole)))
-    count = (_PERIODS_BEFORE + after) * samples
-    period_s = timing_of(configuration).reading_s
+    held, stepped = (
+        Order(Stage.RUN, reference, Mode.FIXED, section.pole) for reference in (rest, rest + move)
+    )
     limits = configuration.drive.limits
     factor = _POWER_SHARE * limits.load_power_max_W / limits.boost_reference_max_V**2
     power = np.array([factor, 0.0, 0.0])  # of v², v and v·y in the power of the load
+    period_s = timing_of(configuration).reading_s
     plant = IdentifiedPlant(identified, load, period_s, (rest_V, rest), power)
-    run = run_loop(configuration, plant, order, count, (rest_V, None))
-    middles = np.arange(0.5, len(run.ticks) // samples)
+    course = [held] * (_PERIODS_BEFORE * samples) + [stepped] * (after * samples)
+    run = simulate(configuration, plant, course, rest_V)
+    middles = np.arange(0.5, len(run.columns["output"]) // samples)
     time_s = (middles - _PERIODS_BEFORE) * section.period_s
-    return course_of(run.ticks, samples, time_s, section, run.fault)
+    return response_of(run.columns, samples, time_s, section, run.fault)
 
 
 # The results of commissioning: load, settings and predicted response, as text and as a figure.
@@ -251,7 +249,7 @@ class Commissioned:
     outcome: Outcome
     load: result.IdentifiedLoad
     proposal: Proposal
-    prediction: LoopCourse
+    prediction: Response
     before: Configuration
     refusal: str = ""
 

@@ -1,14 +1,13 @@
 """Commissioning of a drive, or of a plant of the user, from the first look to the new settings."""
 
 import asyncio
-import math
 import os
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from adaptdrive.analysis import closed_loop
+from adaptdrive.analysis.closed_loop import Plant, PlantLoop
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.process import LockedError, locked
 from adaptdrive.commissioning import client, evaluation, picture, proposal
@@ -16,6 +15,7 @@ from adaptdrive.commissioning.course import Samples, Target, build_target
 from adaptdrive.commissioning.experiment import LoadExperiment
 from adaptdrive.config import root
 from adaptdrive.config.file import digest_of, parse_configuration, read_text
+from adaptdrive.control.signals import Command
 from adaptdrive.mqtt.client import LIVE_S, NoAnswerError
 from adaptdrive.mqtt.connection import Broker
 from adaptdrive.safety.timing import timing_of
@@ -217,39 +217,26 @@ def reached(commissioned: evaluation.Commissioned) -> float:
 _SAMPLE_S = 0.1
 """Time between two samples, as between two messages of the daemon."""
 
-_LAG_S = 0.075
-"""Lag of the boost voltage behind V_c."""
-
 _LONGEST_RUN_S = 30.0 * 86400.0
 
 
-class _Rig:
-    """A plant behind a boost stage, sampled as telemetry is."""
+def _samples(
+    configuration: root.Configuration, plant: Plant
+) -> Callable[[float], tuple[float, float, float]]:
+    """Return what advances a plant by a sample under V_c: to its time, boost voltage and output."""
+    loop = PlantLoop(configuration, plant, follows=True)
+    count = max(1, round(_SAMPLE_S / timing_of(configuration).reading_s))
 
-    def __init__(self, plant: closed_loop.Plant, configuration: root.Configuration) -> None:
-        self._plant = closed_loop.at_own_step(plant)
-        self._step_s = timing_of(configuration).reading_s
-        self._count = max(1, round(_SAMPLE_S / self._step_s))
-        self._share = -math.expm1(-self._step_s / _LAG_S)
-        self._taken = 0
-        self.time_s = 0.0
-        self.boost_V = max(configuration.drive.limits.boost_reference_min_V, 0.0)
+    def sample(voltage_V: float) -> tuple[float, float, float]:
+        for _ in range(count):
+            loop.step(Command(0.0, voltage_V, bridge=True))
+        return loop.time_s, loop.voltage_V, loop.output
 
-    def sample(self, wanted_V: float) -> tuple[float, float, float]:
-        """Advance by a sample under V_c; return its time, boost voltage and output."""
-        output = 0.0
-        for _ in range(self._count):
-            before_V = self.boost_V
-            self.boost_V += self._share * (wanted_V - before_V)
-            mean_V = 0.5 * (before_V + self.boost_V)
-            output, _ = closed_loop.advanced(self._plant, mean_V, self._step_s, self._taken)
-            self._taken += 1
-        self.time_s = self._taken * self._step_s
-        return self.time_s, self.boost_V, output
+    return sample
 
 
 def commission_plant(
-    path: Path, plant: closed_loop.Plant, move_share: float, patience_s: float | None
+    path: Path, plant: Plant, move_share: float, patience_s: float | None
 ) -> evaluation.Commissioned:
     """Run the experiment on a plant and evaluate it.
 
@@ -263,13 +250,13 @@ def commission_plant(
         AdaptdriveError: The experiment cannot continue, or does not show the load.
     """
     text, configuration, target = _prepared(path, None, move_share, patience_s)
-    rig, standby = _Rig(plant, configuration), Samples()
-    while rig.time_s < _WATCHED_S:
-        standby.append(*rig.sample(target.low_V))
+    sample, standby = _samples(configuration, plant), Samples()
+    while not standby.times_s or standby.times_s[-1] < _WATCHED_S:
+        standby.append(*sample(target.low_V))
     sensor = evaluation.judge_sensor(standby, configuration, target.move)
     experiment = LoadExperiment(target)
     while not experiment.done:
-        experiment.take(*rig.sample(experiment.course.voltage_V))
-        if rig.time_s > _LONGEST_RUN_S:
+        experiment.take(*sample(experiment.course.voltage_V))
+        if experiment.course.time_s > _LONGEST_RUN_S:
             raise CommissionError("the experiment does not end within 30 days")
     return evaluation.judged(sensor, experiment, configuration, text, path)

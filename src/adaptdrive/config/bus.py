@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, WrapValidator
@@ -18,7 +19,7 @@ from adaptdrive.config.section import (
 from adaptdrive.util.errors import Flaw
 from adaptdrive.util.quantity import MEASURED
 
-WATCHED = ("fault", "faults", "warning")
+WATCHED = ("fault", "warning")
 WORDS = ("counter", *WATCHED, "bridge")
 CODE = ".code"
 """End of the name of the quantity that has the codes of a watched word."""
@@ -31,20 +32,14 @@ Byte = Annotated[int, Field(ge=0, le=0xFF)]
 class Crc(Section):
     """`[bus.integrity.MESSAGE.crc]`: a checksum by the parameters that catalogues of CRCs list."""
 
-    width: Literal[8, 16, 32]
-    """bits; the checksum's signal has as many"""
     poly: int = Field(ge=1, le=0xFFFF_FFFF)
-    """polynomial without its highest power"""
+    """polynomial without its highest power, which is the bits of the signal: 8, 16 or 32"""
     init: int = key(0, span=(0, 0xFFFF_FFFF))
     """start value"""
-    refin: bool = False
-    """the lowest bit of each byte comes first"""
-    refout: bool = False
-    """the result is mirrored before `xorout`"""
+    reflected: bool = False
+    """the lowest bit comes first: `refin` and `refout` of a catalogue"""
     xorout: int = key(0, span=(0, 0xFFFF_FFFF))
     """final exclusive or"""
-    check: int | None = key(None, span=(0, 0xFFFF_FFFF))
-    """checksum of `123456789` in the catalogue; `check` compares it"""
     covers: list[Byte] | None = key(None, min_length=1, max_length=64)
     """bytes of the frame that the checksum covers, in this order, from 0 on; its own bytes count as
     0; all others when left out"""
@@ -55,32 +50,22 @@ class Crc(Section):
     by_counter: list[Byte] = key([], max_length=256)
     """data id list of AUTOSAR profile 2: the byte at the alive counter's value comes last"""
 
-    def flaws(self) -> Iterator[Flaw]:
-        """Yield the numbers that are longer than the checksum."""
-        for name in ("poly", "init", "xorout", "check"):
-            if (value := getattr(self, name) or 0) >> self.width:
-                yield Flaw("", f"{name} = {value:#x} has more than width = {self.width} bits")
-
 
 class FrameIntegrity(Section):
     """`[bus.integrity.MESSAGE]`: how a message proves that it is alive and whole."""
 
     counter: str | None = key(None, min_length=1)
     """signal with the alive counter"""
-    max_jump: int = key(3, ge=1)
-    """largest accepted advance of the alive counter"""
     checksum: str | None = key(None, min_length=1)
     """signal with the checksum"""
-    algorithm: Literal["sae-j1850", "autosar-p01", "crc"] = "sae-j1850"
-    """form of the checksum; `crc`: as the table `crc` says"""
     crc: Crc | None = None
-    """the form, with algorithm = `crc`"""
-    data_id: int = key(0, span=(0, 0xFFFF))
+    """form of the checksum; when left out that of `data_id`, or SAE J1850 with eight bits"""
+    data_id: int | None = key(None, span=(0, 0xFFFF))
     """data id of AUTOSAR profile 1"""
-    data_id_mode: Literal["both", "alternating", "low", "nibble"] = "both"
-    """bytes of the data id that the checksum of profile 1 runs over"""
+    data_id_mode: Literal["both", "alternating", "low"] = "both"
+    """bytes of the data id that the checksum of profile 1 runs over, without `nibble`"""
     nibble: str | None = None
-    """signal with the low half of the data id's high byte (`nibble`)"""
+    """signal with the low half of the data id's high byte; the checksum runs over its low byte"""
 
 
 class BusSection(Section):
@@ -133,22 +118,30 @@ class FrameAddress(Section):
         return frame_id
 
 
+def _as_list(given: object) -> object:
+    return given if isinstance(given, list) else [given]
+
+
+FilePaths = Annotated[
+    list[FilePath],
+    Field(min_length=1),
+    BeforeValidator(_as_list, json_schema_input_type=Path | list[Path]),
+]
+
+
 class CanDescription(CanLink):
     """Keys of a CAN bus that describe the frames on it."""
 
     fd: bool = False
-    """the bus carries CAN FD frames too"""
-    database: FilePath
-    """DBC file, relative to the configuration file"""
-    databases: list[FilePath] = key([])
-    """more DBC files of the same bus, such as one for each device"""
+    """the bus carries CAN FD frames too, with the bit rate of their data that its interface has"""
+    database: FilePaths
+    """DBC file, relative to the configuration file, or a list of them, such as one for each
+    device"""
     frames: dict[str, FrameAddress] = key({})
     """by message: source address, destination and priority of a J1939 message"""
     polled: dict[str, Literal["rtr", "pgn"]] = key({})
     """messages that are asked for, each `clock_ticks` or `cycle_s`, by a remote frame (`rtr`) or a
     request of J1939 to their sender (`pgn`)"""
-    own_address: int = key(0xF9, span=(0, 0xFD))
-    """source address of such requests"""
     ranges: dict[str, Range] = key({})
     """ranges by `Message.Signal`, in the unit of the DBC, where those of the DBC are wrong"""
     integrity: dict[str, FrameIntegrity] = key({})
@@ -163,8 +156,6 @@ class CanBus(CanDescription, BusSection):
     when left out"""
     type: Literal["can"]
     """kind of bus"""
-    bitrate_switch: bool = True
-    """send CAN FD frames with the faster data phase"""
     clock: str
     """message whose arrival is the fast tick, or `MESSAGE.SIGNAL` where only the page with that
     signal is"""
@@ -208,12 +199,16 @@ class CanOpenBus(CanLink, BusSection):
     """node id of the daemon, for its heartbeat; no other node may have it"""
     sync: Literal["drive", "daemon"] = "daemon"
     """sender of SYNC each half line cycle; the drive sends it at a fixed line phase"""
-    heartbeat_s: PositiveFloat = key(0.02, span=(0.005, 1.0))
-    """time between two heartbeats, of the drive and of the daemon"""
-    heartbeat_timeout_s: PositiveFloat = key(0.1, le=2.0)
-    """silence after which the drive makes itself safe, and the daemon trips"""
+    heartbeat_timeout_s: PositiveFloat = key(0.1, span=(0.025, 2.0))
+    """silence after which the drive makes itself safe, and the daemon trips; each sends a heartbeat
+    five times as often"""
     sdo_timeout_s: PositiveFloat = key(0.3, span=(0.01, 10.0))
     """longest time from an SDO request to its reply"""
+
+    @property
+    def heartbeat_s(self) -> float:
+        """Time between two heartbeats, of the drive and of the daemon: three may be lost."""
+        return self.heartbeat_timeout_s / 5.0
 
     @property
     def command_timeout_s(self) -> float:
@@ -255,7 +250,7 @@ SwitchQuantity = Annotated[SwitchSource, _or_name(SwitchSource)]
 
 
 class FaultSource(SignalSource):
-    """`signals.fault`, `faults`, `warning`: a watched word, whole or some bits, or a state."""
+    """`signals.fault` and `warning`: a watched word, whole or some bits, or a state."""
 
     mask: int | None = key(None, ge=1)
     """watched bits; all when left out"""
@@ -357,8 +352,6 @@ class Signals(Section):
     """half-cycle counter of the drive"""
     fault: FaultQuantities = key([])
     """fault words; 0 is healthy"""
-    faults: FaultQuantities = key([])
-    """more of them"""
     warning: FaultQuantities = key([])
     """words whose changes are events, and which trip nothing"""
     bridge: SwitchQuantity | None = None

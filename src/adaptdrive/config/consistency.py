@@ -33,7 +33,6 @@ def pace_flaws(whole: root.Configuration) -> Iterator[Flaw]:
         reading = f"bus.clock_ticks = {stride}"
     else:
         reading = "a half cycle, from one SYNC to the next"
-        yield from _heartbeat_flaws(bus, late_s)
     latest = f"{late_s:.4g} s, {LATE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
     stale_s = whole.interlocks.stale_s
     yield from section.misfit("interlocks.stale_s", stale_s, "at least", late_s, latest)
@@ -45,16 +44,6 @@ def pace_flaws(whole: root.Configuration) -> Iterator[Flaw]:
     yield from _loop_flaws(whole, reading)
     if isinstance(bus, ModbusBus):
         yield from _write_flaws(bus, whole, late_s)
-
-
-def _heartbeat_flaws(bus: CanOpenBus, late_s: float) -> Iterator[Flaw]:
-    """The heartbeat after a lost one, and after a command that is late, comes in time."""
-    least_s = bus.heartbeat_s + max(bus.heartbeat_s, late_s)
-    rule = f"at least 2 times bus.heartbeat_s = {bus.heartbeat_s}, "
-    rule += f"and {LATE_READINGS} half cycles"
-    why = f"{least_s:.4g} s, {rule} more than it: heartbeats come with commands"
-    timeout_s = bus.heartbeat_timeout_s
-    yield from section.misfit("bus.heartbeat_timeout_s", timeout_s, "at least", least_s, why)
 
 
 def _loop_flaws(whole: root.Configuration, reading: str) -> Iterator[Flaw]:
@@ -90,8 +79,8 @@ def _write_flaws(bus: ModbusBus, whole: root.Configuration, late_s: float) -> It
         if register.write_limit is not None:
             places.append(f"bus.registers.{name}.write_limit")
             yield from _limit_flaws(places[-1], name, register.write_limit, whole)
-    if bus.read_write:
-        problem = "bus.read_write writes with each poll: leave it out"
+    if bus.write == "with-read":
+        problem = "bus.write = 'with-read' writes with each poll: leave it out"
         yield from (Flaw(place, problem) for place in places)
 
 

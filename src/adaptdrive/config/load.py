@@ -16,14 +16,8 @@ LoadName = Literal["motor", "bath", "battery"]
 
 Period = Annotated[section.PositiveFloat, Field(le=3600.0)]
 
-NOISE_SHARE = 0.04
-"""`load.noise_V` where it is left out, as a share of the range of V_c."""
-
 FORGETTING = 0.985
 """`estimator.forgetting` of the `exact` design where it is left out."""
-
-ERROR_SHARE = 0.1
-"""`supervisor.error_limit` where it is left out, as a share of the range of set-points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,55 +51,33 @@ class LoadSection(section.Section):
     traits: ClassVar[LoadTraits] = LoadTraits()
     rising: ClassVar = ("reference_min", "reference_max")
 
-    period_s: Period = 1.0
+    period_s: Period
     """slow period T_k, a whole number of half line cycles"""
-    pole: section.Fraction = 0.70
-    """closed-loop pole of the load loop"""
-    pole_min: section.Fraction = 0.50
-    """fastest pole an operator may ask for; `check` shows the range that is stable"""
-    pole_max: section.Fraction = 0.98
-    """slowest pole an operator may ask for, as above"""
+    pole: section.Fraction
+    """closed-loop pole of the load loop; `check` shows the poles that an operator may ask for"""
     design: Literal["exact", "paper"] = "exact"
     """`exact`: held input, delays and filter in the model; `paper`: the paper's controller and
     nothing else"""
     samples: int = section.key(90, ge=1)
     """fast samples averaged for one slow one: more against noise, fewer for less delay; in half
     line cycles, at most a slow period (`exact` only)"""
-    clip: float = section.key(5.0, ge=0.0)
-    """fast samples are clipped to this many mean deviations about their prediction; 0: not clipped
-    (`exact` only)"""
     resolution: section.NonNegativeFloat = 0.0
     """smallest step of the measured output, such as 0.0049 of 10 bits over 5 V; 0: found in the
     samples (`exact` and `lm-rls` only). State one above 1 % of the set-point range"""
-    noise_V: section.NonNegativeFloat | None = None
-    """largest standard deviation of V_c in volts that noise may cause; adaptive poles become slower
-    for it; 4 % of the range of V_c when left out; 0: any (`exact` and `lm-rls` only)"""
     latency_ticks: int = section.key(2, ge=1)
     """fast ticks from the slow sample to its effect"""
     reference_min: section.FiniteFloat = 0.0
     """lowest set-point"""
     reference_max: section.FiniteFloat
     """highest set-point"""
-    govern: bool = False
-    """move a set-point that V_c cannot hold to the nearest that it can; otherwise refuse it"""
     probe_share: float = section.key(0.0, span=(0.0, 0.1))
     """distance by which a constant set-point is moved to learn the load in mode adaptive, as a
     share of the set-point range (of a charging current: lowered by a share of itself); 0: never
     (`exact` and `lm-rls` only)"""
-    probe_s: Annotated[section.PositiveFloat, Field(le=1e6)] = 300.0
-    """time without movement after which the load counts as unknown, and least time between
-    probes"""
-    output_name: str = "output"
+    output_name: str
     """name of the output for people"""
-    output_unit: str = ""
+    output_unit: str
     """unit of the output for people"""
-
-    def flaws(self) -> Iterator[Flaw]:
-        """Yield limits in the wrong order, and a pole outside of its limits."""
-        yield from super().flaws()
-        if not self.pole_min <= self.pole <= self.pole_max:
-            span = f"pole_min…pole_max = {self.pole_min}…{self.pole_max}"
-            yield Flaw("", f"pole = {self.pole} must lie in {span}")
 
 
 class MotorModel(section.Section):
@@ -128,8 +100,6 @@ class MotorSection(LoadSection):
 
     type: Literal["motor"]
     """kind of load"""
-    output_name: str = "speed"
-    output_unit: str = "V"
     boost_course: Literal["held", "impulse"] = "held"
     """`impulse`: each change of V_c is exaggerated for half a slow period, as the `paper` design
     assumes"""
@@ -176,11 +146,7 @@ class BathSection(LoadSection):
 
     type: Literal["bath"]
     """kind of load"""
-    period_s: Period = 20.0
-    pole: section.Fraction = 0.80
     samples: int = section.key(600, ge=1)
-    output_name: str = "temperature"
-    output_unit: str = "K"
     model: BathModel
 
     def flaws(self) -> Iterator[Flaw]:
@@ -227,8 +193,6 @@ class BatterySection(LoadSection):
 
     type: Literal["battery"]
     """kind of load"""
-    output_name: str = "current"
-    output_unit: str = "A"
     model: BatteryModel
     charge: Charge
 
@@ -248,22 +212,8 @@ class Estimator(section.Section):
     tau_lambda_s: section.PositiveFloat = 10.0
     """time constant of the λ filters: half the sum of the load's time constants; longer against
     noise"""
-    dead_band: float = section.key(0.0, ge=0.0)
-    """movement of the output between two slow samples, in its unit, below which the estimate is not
-    updated"""
-    initial_covariance: section.PositiveFloat | None = None
-    """P[0] = this times I, over the variance of the noise; when left out 1e8 for the `exact` design
-    with `lm-rls`, else the paper's 1e4"""
-    gate: float = section.key(1.2, ge=0.0)
-    """learn only from samples with rᵀPr above this multiple of 1 - ρ (`exact` only)"""
-    alert: bool = True
-    """relearn quickly after an abrupt change of the load: the covariance is raised (`exact`
-    only)"""
     bias: bool = True
     """estimate a constant too, such as a load torque (`exact` only); a battery always has one"""
-    initial_state: bool = True
-    """estimate the initial state too, such as the speed of a motor that still turns (`exact` and
-    `lm-rls` only)"""
     settle_s: section.Duration = 30.0
     """time after start before the first update (`exact` only)"""
 
@@ -277,27 +227,9 @@ class Supervisor(section.Section):
     """smallest accepted estimate over nominal"""
     ratio_max: float = section.key(6.0, gt=1.0, allow_inf_nan=False)
     """largest accepted estimate over nominal"""
-    damping_min: section.NonNegativeFloat = 0.9
-    """smallest damping of an estimated load; real time constants have 1; 0: any"""
-    spread_max: section.NonNegativeFloat = 0.05
-    """largest error of the response to a step within `confidence` standard deviations, as a share
-    of the step; 0: any"""
-    residual_margin: section.NonNegativeFloat = 1.5
-    """largest prediction error over the nominal model's; 0: any"""
-    confidence: section.NonNegativeFloat = 2.0
-    """standard deviations of an estimate within which its gains must keep the loop stable; 0: not
-    checked"""
-    dwell_periods: int = section.key(7, span=(1, 10_000))
-    """good estimates in a row before the first goes live"""
-    blend_periods: int = section.key(5, span=(1, 10_000))
-    """slow periods over which one law hands over to the other"""
     saturated_s: section.Duration = 240.0
     """longest time at a limit without coming closer to where the model rests, before the fixed
     gains return; 0: any"""
-    error_limit: section.NonNegativeFloat | None = None
-    """distance from the response asked for, in the unit of the output, that must not last for ten
-    closed-loop time constants with a free input; 10 % of the set-point range when left out; 0:
-    any"""
     response_s: section.Duration = 120.0
     """trip when the input was at a limit for this time and the output did not move; 0: never"""
     response_distance: section.NonNegativeFloat = 0.02

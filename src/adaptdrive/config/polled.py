@@ -61,10 +61,9 @@ class Register(Section):
         "uint16"
     )
     """how the value is coded; 32 bits take two registers, 64 bits four"""
-    word_order: Literal["big", "little"] = "big"
-    """register that comes first of several: the high or the low one"""
-    byte_order: Literal["big", "little"] = "big"
-    """byte that comes first in each register"""
+    order: Literal["ABCD", "CDAB", "BADC", "DCBA"] = "ABCD"
+    """order of the bytes of two registers, A is the highest: `CDAB` has the low register first,
+    `BADC` the low byte of each"""
     scale: Scale = 1.0
     """units per count"""
     unit: str = ""
@@ -74,38 +73,27 @@ class Register(Section):
     not_available: int | None = None
     """count or word that means `no value`, such as 0x7F7FFFFF of a float32; all ones (0x8000… when
     signed) when left out"""
-    bit: int | None = key(None, span=(0, 63))
-    """take this bit alone, 0 is the lowest"""
     mask: int | None = key(None, ge=1)
-    """take these bits alone, such as 0x0F00, as a number from 0 on; bits of no field are written as
-    0"""
+    """take these bits alone, such as 0x0F00, as a number from 0 on, or one, such as 0x0008; bits of
+    no field are written as 0"""
     names: dict[str, int] = key({})
     """names of its counts, such as { Stop = 0, Run = 1 }"""
     write_limit: int | None = key(None, ge=24)
     """writes a day that the register endures: it is written on change, after its share of a day,
     and for each switch of the bridge"""
-    on: int = 1
-    """count that is written to switch on"""
-    off: int = 0
-    """count that is written to switch off"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield what no register has."""
-        given, bits, size = self.not_available, self.bits, 16 * self.words
+        given, size = self.not_available, 16 * self.words
         if self.end > 0x10000:
             yield Flaw("address", f"{self.address} leaves no room for its registers")
         lowest = 0 if self.type.startswith("uint") else -1 << (size - 1)
         if given is not None and not lowest <= given < 1 << size:
             yield Flaw("not_available", f"{self.type} has no count {given}")
-        if bits is not None and (self.real or bits >> size):
-            name, wrong = "bit", f"bit {self.bit}"
-            if self.mask is not None:
-                name, wrong = "mask", f"bits {self.mask:#x}"
-            yield Flaw(name, f"{self.type} has no {wrong}")
-        if self.bit is not None and self.mask is not None:
-            yield Flaw("mask", "is for several bits, and `bit` for one")
-        if self.switches and (self.type != "uint16" or bits is not None):
-            yield Flaw("type", f"a {self.table} is one bit: leave type, bit and mask out")
+        if self.mask is not None and (self.real or self.mask >> size):
+            yield Flaw("mask", f"{self.type} has no bits {self.mask:#x}")
+        if self.switches and (self.type != "uint16" or self.mask is not None):
+            yield Flaw("type", f"a {self.table} is one bit: leave type and mask out")
 
     @property
     def words(self) -> int:
@@ -116,11 +104,6 @@ class Register(Section):
     def real(self) -> bool:
         """True for a floating-point number."""
         return self.type.startswith("float")
-
-    @property
-    def bits(self) -> int | None:
-        """Mask of the bits that are taken, None for the whole value."""
-        return self.mask if self.bit is None else 1 << self.bit
 
     @property
     def switches(self) -> bool:
@@ -178,26 +161,33 @@ class RtuLink(ModbusLink):
     """serial port, relative to the configuration file"""
     baud: int = key(19200, span=(300, 4_000_000))
     """bits per second"""
-    parity: Literal["even", "odd", "none"] = "even"
-    """parity bit"""
-    stop_bits: Literal[1, 2] = 1
-    """stop bits"""
+    form: Literal["8E1", "8E2", "8O1", "8O2", "8N1", "8N2"] = "8E1"
+    """data bits, parity bit (even, odd or none) and stop bits of a character"""
 
     def flaws(self) -> Iterator[Flaw]:
         """Yield an id that no device has."""
         if self.device_id == 0:
             yield Flaw("device_id", "0 is all devices of a serial line, and none of them replies")
 
+    @property
+    def parity(self) -> str:
+        """Parity bit: E, O or N."""
+        return self.form[1]
+
+    @property
+    def stop_bits(self) -> int:
+        """Stop bits."""
+        return int(self.form[2])
+
 
 class ModbusBus(PolledBus, ModbusLink):
     """Keys of `[bus]` for every kind of Modbus."""
 
-    write: Literal["multiple", "single"] = "multiple"
-    """write registers together (function 16) or each alone (function 6)"""
+    write: Literal["multiple", "single", "with-read"] = "multiple"
+    """write registers together (function 16), each alone (function 6), or in one exchange with the
+    read (function 23)"""
     command_interval_s: float = key(0.0, span=(0.0, 3600.0))
     """longest time between writes of an unchanged command; 0: with each poll"""
-    read_write: bool = False
-    """write and read in one exchange (function 23)"""
     heartbeat: Heartbeat = Field(default_factory=Heartbeat)
     registers: dict[str, Register] = key({})
     """register map, by name"""
@@ -241,13 +231,10 @@ class ScpiValue(Section):
     answer: str | None = None
     """regular expression of the line with which the supply answers the command, such as `OK`; it
     answers with none when left out"""
-    integer: bool = False
-    """whole number without its sign, as where there are `names`; text may follow, as of
-    `SYST:ERR?`; `0x1F` and `#H1F` are hexadecimal"""
-    base: Literal[10, 16] = 10
-    """base of a whole number that has no `0x` and no `#H` before it"""
-    bit: int | None = key(None, span=(0, 31))
-    """the one bit that is taken of a word"""
+    form: Literal["real", "integer", "hexadecimal"] = "real"
+    """form of the number: an `integer` has no sign here, and text may follow, as of `SYST:ERR?`;
+    one with `0x` or `#H` before it is hexadecimal in any case; `integer` where there are `names` or
+    a `mask`"""
     mask: int | None = key(None, span=(1, 0xFFFF_FFFF))
     """bits that are taken of a word, as one number"""
     unit: str = ""
@@ -277,19 +264,13 @@ class ScpiValue(Section):
         else:
             if groups != 1:
                 yield Flaw("reply", f"{self.reply!r} has {groups} groups: one is the value")
-        if len(self._bits) > 1:
-            yield Flaw("mask", "is for several bits, and `bit` for one")
-        elif self._bits and self.write is not None:
-            yield Flaw(self._bits[0], "is for a value that is read alone: `write` sets the word")
-
-    @property
-    def _bits(self) -> list[str]:
-        return [name for name in ("bit", "mask") if getattr(self, name) is not None]
+        if self.mask is not None and self.write is not None:
+            yield Flaw("mask", "is for a value that is read alone: `write` sets the word")
 
     @property
     def whole(self) -> bool:
         """True for a whole number."""
-        return self.integer or self.base == 16 or bool(self._bits or self.names)
+        return self.form != "real" or bool(self.mask or self.names)
 
     def line(self, number: float) -> str:
         """Return the command for a number.
@@ -316,8 +297,8 @@ class ScpiValue(Section):
 
     def _whole(self, text: str) -> float:
         """Return a whole number without its sign, NaN for none."""
-        found = _WHOLE.fullmatch(text)
-        base = self.base if found is None else _BASES.get((found[1] or "").lower(), self.base)
+        found, bare = _WHOLE.fullmatch(text), 16 if self.form == "hexadecimal" else 10
+        base = bare if found is None else _BASES.get((found[1] or "").lower(), bare)
         try:
             return int(found[2], base) if found else math.nan
         except ValueError:
@@ -336,7 +317,6 @@ class ScpiValue(Section):
             unit=self.unit,
             range=self.range,
             names=self.names,
-            bit=self.bit,
             mask=self.mask,
         )
 

@@ -14,7 +14,7 @@ from adaptdrive.util.errors import Flaw, nearest
 DAY_S = 86400.0
 
 _DRIVE_BEAT = "bus.heartbeat.drive"
-_CODING = operator.attrgetter("address", "type", "word_order", "byte_order", "scale")
+_CODING = operator.attrgetter("address", "type", "order", "scale")
 
 
 def reference_flaws(
@@ -83,7 +83,7 @@ def _modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
         target = registers.get(name)
         if target is None:
             continue
-        if target.table in {"input", "discrete"} or (target.bits and place.startswith("bus.")):
+        if target.table in {"input", "discrete"} or (target.mask and place.startswith("bus.")):
             wanted = "a holding register, whole for [bus], or a coil"
             yield Flaw(place, f"{name!r} cannot be written: it must be {wanted}")
     for place, name in (*seen, *beaten):
@@ -99,7 +99,7 @@ def _overlap_flaws(
     for (_, first), (place, name) in itertools.combinations(written, 2):
         one, other = registers[first], registers[name]
         alike = (one.address, one.type) == (other.address, other.type)
-        apart = alike and one.bits and other.bits and not one.bits & other.bits
+        apart = alike and one.mask and other.mask and not one.mask & other.mask
         if apart or not _meet(one, other):
             continue
         if place == _DRIVE_BEAT:
@@ -150,7 +150,7 @@ def map_flaws(place: str, registers: Mapping[str, Register], *, zero_based: bool
     if not zero_based:
         for name, register in registers.items():
             yield from _label_flaws(f"{place}.{name}.address", register)
-    whole = [(name, register) for name, register in registers.items() if register.bits is None]
+    whole = [(name, register) for name, register in registers.items() if register.mask is None]
     whole.sort(key=lambda item: (item[1].table, item[1].address))
     for (first, one), (name, other) in itertools.pairwise(whole):
         if _meet(one, other) and _CODING(one) != _CODING(other):

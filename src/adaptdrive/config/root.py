@@ -117,8 +117,6 @@ class VoltageLoop(section.Section):
 
     where: Literal["daemon", "drive"] = "daemon"
     """place of the voltage loop (from V_c to the current scale)"""
-    feed_forward: bool = True
-    """add the measured load power"""
     lag_s: section.NonNegativeFloat | None = None
     """mean delay from V_c to v_bst of a drive that holds its own v_bst; at most the slow period; 9
     half line cycles when left out"""

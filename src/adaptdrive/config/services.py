@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Annotated
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator
 
 from adaptdrive.config import section
 from adaptdrive.util.clock import check_host
@@ -89,8 +89,6 @@ class Recording(section.Section):
     """record sessions"""
     directory: section.FilePath | None = None
     """folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out"""
-    flush_s: float = section.key(0.2, span=(0.1, 60.0))
-    """longest time before data are written"""
     segment_s: float = section.key(3600.0, span=(1.0, 86_400.0))
     """time after which a session continues in new files"""
     keep_days: section.PositiveFloat | None = None
@@ -103,12 +101,6 @@ class Realtime(section.Section):
     """`[realtime]`: how hard the fast loop is protected from the rest of the machine."""
 
     priority: int | None = section.key(None, span=(1, 98))
-    """SCHED_FIFO priority; ordinary scheduling without"""
-    cpus: list[Annotated[int, Field(ge=0)]] = section.key([])
-    """CPUs that the daemon may run on; all when empty"""
+    """SCHED_FIFO priority, with the daemon's memory kept in RAM; ordinary scheduling without"""
     cpu_latency_us: int | None = section.key(None, span=(0, 10_000))
     """longest time that idle CPUs may take to wake up; shorter needs more power"""
-    lock_memory: bool = False
-    """keep the daemon's memory in RAM"""
-    late_us: section.PositiveFloat = section.key(2000.0, span=(10.0, 1e6))
-    """lateness from which a tick is reported as an event, with its cause"""

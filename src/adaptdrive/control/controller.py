@@ -272,10 +272,9 @@ class Controller:
             return ()
         waveform, rates = known.waveform, self.settings.rates
         ticks = [tick + i * rates.ticks_per_period for i in range(1, AHEAD)]
-        asked = [
-            waveform.value((later - known.begin_tick) * rates.nominal_tick_s) for later in ticks
-        ]
-        return tuple(map(self._reach.nearest, asked) if self.settings.govern else asked)
+        return tuple(
+            [waveform.value((later - known.begin_tick) * rates.nominal_tick_s) for later in ticks]
+        )
 
     def _bearable(self, measurement: Measurement, share: float) -> float:
         """Return the V_c for a share of the voltage of a battery; infinite for other loads."""

@@ -387,7 +387,7 @@ def regulate_voltage(
     wanted = current_scale(
         state.error_sum,
         boost_voltage_V,
-        load_power_W if stage.feed_forward else 0.0,
+        load_power_W,
         max(line_voltage_V, stage.line_voltage_min_V),
         tick_period_s,
         stage.capacitance_F,

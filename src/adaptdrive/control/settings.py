@@ -16,7 +16,6 @@ class PowerStage:
         boost_reference_min_V: Lowest V_c.
         boost_reference_max_V: Highest V_c.
         load_power_max_W: Load power above which V_c is held back.
-        feed_forward: Whether the load power is fed forward.
         holds_voltage: True for a drive with its own voltage loop.
         boost_needs_bridge: True for a drive whose boost stage works only with the bridge on.
         kick_ticks: Length of each part of a kick (`impulse_hold`); 0 to hold V_c.
@@ -31,7 +30,6 @@ class PowerStage:
     boost_reference_min_V: float
     boost_reference_max_V: float
     load_power_max_W: float
-    feed_forward: bool
     holds_voltage: bool
     boost_needs_bridge: bool = False
     kick_ticks: int = 0
@@ -68,7 +66,6 @@ class EstimatorSettings:
         method: Name of the estimation method (`direct.METHODS`).
         forgetting: ρ.
         tau_lambda_s: τ_λ.
-        dead_band: No update while the output moves less than this between slow samples.
         initial_covariance: p0.
         settle_periods: Slow periods after start before the first update.
         gate: Update only on samples with rᵀPr above this multiple of 1 - ρ; 0 takes every sample.
@@ -88,7 +85,6 @@ class EstimatorSettings:
     method: str
     forgetting: float
     tau_lambda_s: float
-    dead_band: float
     initial_covariance: float
     settle_periods: int = 0
     gate: float = 0.0
@@ -180,7 +176,6 @@ class ControllerSettings:
         learning: The estimator.
         supervision: The supervisor.
         probing: The probing, off by default.
-        govern: Whether set-points are moved into what V_c can hold.
     """
 
     exact: bool
@@ -189,4 +184,3 @@ class ControllerSettings:
     learning: EstimatorSettings
     supervision: SupervisionLimits
     probing: Probing = field(default_factory=Probing)
-    govern: bool = False

@@ -81,7 +81,7 @@ def slow_step(
         The load's input u[k] after limits.
     """
     _note_applied(state, sample)
-    _take_sample(settings, state, sample)
+    _take_sample(state, sample)
     supervision = settings.supervision
     _design_fixed(settings, load, state, sample)
     redesign.adapt(settings, load, state, sample)
@@ -168,10 +168,9 @@ def _follow_hand(state: SlowState, sample: SlowSample) -> float:
     return sample.held
 
 
-def _take_sample(settings: ControllerSettings, state: SlowState, sample: SlowSample) -> None:
+def _take_sample(state: SlowState, sample: SlowSample) -> None:
     estimator = state.estimator
-    moved = abs(sample.output - state.outputs[0]) >= settings.learning.dead_band
-    usable = moved and sample.held_share <= thresholds.LOST_SHARE
+    usable = sample.held_share <= thresholds.LOST_SHARE
     estimator.take_sample(sample, state.outputs, state.inputs, usable=usable)
     if isinstance(estimator, LambdaEstimator):
         fixed = estimator.nominal_innovation()

@@ -47,7 +47,7 @@ class ScpiConnection(link.PolledLink):
         self._config = config
         registers = config.as_registers().registers
         # a reply is the whole word: its bits are taken from the register
-        whole = {"bit": None, "mask": None}
+        whole = {"mask": None}
         self._values = {
             one.address: (config.values[name], one.model_copy(update=whole))
             for name, one in registers.items()

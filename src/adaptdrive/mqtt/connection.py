@@ -23,8 +23,9 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from adaptdrive.mqtt.steady import SteadyClient
 from adaptdrive.safety.trips import Trip, TripKind
-from adaptdrive.util import clock, files, log
+from adaptdrive.util import clock, files
 from adaptdrive.util.errors import first_error
+from adaptdrive.util.lines import write_line
 
 # The address of a broker, and the login there.
 
@@ -204,7 +205,7 @@ class BrokerLink:
             self._since_s = asyncio.get_running_loop().time()
             self._problem = ""
             place = self._place
-            log.log("info", "broker connected", broker=place, protocol=protocol.name, name=name)
+            write_line("info", "broker connected", broker=place, protocol=protocol.name, name=name)
             try:
                 await serve(client)
             finally:
@@ -232,7 +233,7 @@ class BrokerLink:
         text = str(problem) if expected else f"{type(problem).__name__}: {problem}"
         if text != self._problem:
             self._problem = text
-            log.log("warning", "broker lost", broker=self._place, problem=text)
+            write_line("warning", "broker lost", broker=self._place, problem=text)
 
 
 @asynccontextmanager

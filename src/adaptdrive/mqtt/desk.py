@@ -20,7 +20,7 @@ from adaptdrive.mqtt import commands, contract
 from adaptdrive.runtime.reports import CommandReport, Keep, State
 from adaptdrive.runtime.requests import Host, Request
 from adaptdrive.util.errors import NOT_JSON, AdaptdriveError, RefusedError
-from adaptdrive.util.log import Level, log
+from adaptdrive.util.lines import Level, write_line
 
 # Memory of the replies, so that a repeated command acts once and gets the same reply.
 
@@ -105,12 +105,12 @@ def _entry(identity: str, born_s: float, body: bytes) -> _Entry:
     return reply, born_s, asked
 
 
-# Lines of the log, which are bounded.
+# Lines on stderr, which are bounded.
 
 
 @dataclass(slots=True)
-class LogRation:
-    """Lets so many lines into the log in each interval, and counts those that it withholds.
+class LineRation:
+    """Lets so many lines out in each interval, and counts those that it withholds.
 
     Attributes:
         monotonic: Clock.
@@ -201,7 +201,7 @@ class Desk:
         memory: Replies by id.
         present_state: Returns the state of the drive.
         wall: Wall clock.
-        ration: Bounds the lines of the log.
+        ration: Bounds the lines on stderr.
         report: Takes a report of each command that was answered for the first time.
         kept: Waits until the report is recorded, before the command is answered.
         shutting_down: Returns whether the daemon ends.
@@ -211,7 +211,7 @@ class Desk:
     memory: ReplyMemory
     present_state: Callable[[], State | None]
     wall: Callable[[], datetime]
-    ration: LogRation
+    ration: LineRation
     report: Callable[[CommandReport], None]
     kept: Keep
     shutting_down: Callable[[], bool]
@@ -308,13 +308,13 @@ class Desk:
     def _log_unreadable(self, command: OperatorCommand) -> None:
         size, stopped = len(command.raw), command.stopped is not None
         facts = {"verb": command.verb, "size": size, "carried_out": stopped}
-        self._log("warning", "command without a readable id", facts)
+        self._write("warning", "command without a readable id", facts)
 
     def _log_reply(self, reply: contract.Reply) -> None:
         facts = {"id": reply.id, "verb": reply.verb, "accepted": reply.accepted}
-        self._log("info", "command", facts | {"reason": reply.reason or None})
+        self._write("info", "command", facts | {"reason": reply.reason or None})
 
-    def _log(self, level: Level, event: str, facts: Mapping[str, object]) -> None:
+    def _write(self, level: Level, event: str, facts: Mapping[str, object]) -> None:
         """Write a line, unless too many were written.
 
         A daemon that ends withholds none: it may have no time left for its session.
@@ -322,7 +322,7 @@ class Desk:
         if self.shutting_down():
             self.ration.lines = sys.maxsize
         if (withheld := self.ration.take()) is not None:
-            log(level, event, **facts, withheld_lines=withheld)
+            write_line(level, event, **facts, withheld_lines=withheld)
 
     def _repeated(self, command: OperatorCommand) -> contract.Reply | None:
         """Return the reply to a command whose id is known, None for a new one."""

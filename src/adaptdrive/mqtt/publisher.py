@@ -254,7 +254,7 @@ class Intake:
                 self._release()
 
     def report(self, kind: str, severity: reports.Severity, detail: str) -> None:
-        """Publish an event of the operators' side to the log, the recording and the broker."""
+        """Publish an event of the operators' side to stderr, the log and the broker."""
         self.hub.publish(reports.Event(kind, severity, detail, -1))
 
     def report_other(self, cause: Trip) -> None:

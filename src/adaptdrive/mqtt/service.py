@@ -278,7 +278,7 @@ class MqttService:
             desk.ReplyMemory(around.replies, around.note_reply, around.monotonic),
             lambda: self._board.state,
             around.wall,
-            desk.LogRation(around.monotonic),
+            desk.LineRation(around.monotonic),
             report=hub.publish,
             kept=lambda: around.kept(COMMAND_PATIENCE_S),
             shutting_down=lambda: self._board.shutting_down,

@@ -17,10 +17,10 @@ from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from adaptdrive.mqtt import connection, contract, publisher, steady
-from adaptdrive.mqtt.desk import Desk, LogRation, OperatorCommand
+from adaptdrive.mqtt.desk import Desk, LineRation, OperatorCommand
 from adaptdrive.runtime.reports import Queue, Severity, State
 from adaptdrive.util.clock import Step, repeat
-from adaptdrive.util.log import log
+from adaptdrive.util.lines import write_line
 
 PROBE_EVERY_S = 60.0
 PATIENCE_S = 10.0
@@ -30,7 +30,7 @@ COMMANDS_HELD = 100
 PAUSE_S = 0.005
 """From one answer to the next command: a flood of them must not keep a CPU busy."""
 
-LOGGED_EVERY_S = 10.0
+WRITTEN_EVERY_S = 10.0
 HISTOGRAMS_EVERY_S = 10.0
 HISTORY_EVERY_S = 5.0
 ONLINE_EVERY_S = 10.0
@@ -74,7 +74,7 @@ class BrokerSession:
         self._commands_lost = False
         self._refused: set[str] = set()
         self._reported = 0
-        self._ration = LogRation(asyncio.get_running_loop().time, 1, LOGGED_EVERY_S)
+        self._ration = LineRation(asyncio.get_running_loop().time, 1, WRITTEN_EVERY_S)
 
     async def run(self, announcement: tuple[str, contract.Payload] | None = None) -> None:
         """Serve until the connection is lost, or until cancelled: then publish that and leave.
@@ -145,13 +145,15 @@ class BrokerSession:
         await self.client.publish(topic, payload, qos=1, retain=True)
 
     async def _subscribe(self) -> None:
-        """Subscribe; log what is refused, and report it where no command arrives without it."""
+        """Subscribe; write what is refused, and report it where no command arrives without it."""
         for topic, wishes in self._subscriptions():
             for code in await self.client.subscribe(topic, **wishes):
                 value = code.value if isinstance(code, ReasonCode) else code
                 if value >= LOWEST_FAILURE_CODE:
                     self._refused.add(topic)
-                    log("error", "broker does not allow to subscribe", topic=topic, code=str(code))
+                    write_line(
+                        "error", "broker does not allow to subscribe", topic=topic, code=str(code)
+                    )
                     if topic == self.topics.commands:
                         refused = f"the broker refuses the subscription to {topic} ({code})"
                         self.intake.report_no_commands(refused)
@@ -212,10 +214,10 @@ class BrokerSession:
         await self.client.publish(self.topics.reply, contract.encode(reply), qos=1)
 
     def _log_dropped(self) -> None:
-        """Log that commands went unread, and how many, but not each."""
+        """Write that commands went unread, and how many, but not each."""
         dropped = self._commands.dropped + self._stops.dropped
         if dropped > self._reported and self._ration.take() is not None:
-            log("warning", "too many commands", dropped=dropped - self._reported)
+            write_line("warning", "too many commands", dropped=dropped - self._reported)
             self._reported = dropped
 
     async def _send_state(self) -> None:

@@ -13,7 +13,7 @@ from aiomqtt.types import PahoSocket
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
-from adaptdrive.util.log import log
+from adaptdrive.util.lines import write_line
 
 T = TypeVar("T")
 
@@ -77,7 +77,7 @@ class SteadyClient(Client):
             await super().publish(topic, payload, *args, **kwargs)
         elif topic not in self._withheld:
             self._withheld.add(topic)
-            log(
+            write_line(
                 "error",
                 "message withheld: the broker takes no packet of this size",
                 topic=topic,
@@ -144,7 +144,7 @@ class SteadyClient(Client):
     def _on_subscribe(self, client: paho.Client, userdata: object, mid: int, *args: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
         """Take the answer to a subscription that is still awaited.
 
-        aiomqtt logs one that comes after the end of the wait with a traceback.
+        aiomqtt writes one that comes after the end of the wait with a traceback.
         """
         if mid in self._pending_subscribes:
             super()._on_subscribe(client, userdata, mid, *args)
@@ -160,16 +160,16 @@ class SteadyClient(Client):
         super()._on_publish(*args)
         offer = self._offers.get(args[2])
         if offer is None:
-            self._log_refusal(args[3])
+            self._write_refusal(args[3])
         elif not offer.done():
             offer.set_result(not args[3].is_failure)
         self._acknowledge_segment()
 
-    def _log_refusal(self, code: ReasonCode) -> None:
-        """Log once for each connection and reason that the broker delivers a message to nobody."""
+    def _write_refusal(self, code: ReasonCode) -> None:
+        """Write once for each connection and reason that a message is delivered to nobody."""
         if code.is_failure and code.value not in self._refusals:
             self._refusals.add(code.value)
-            log(
+            write_line(
                 "error",
                 "the broker refuses to deliver messages of this daemon: events, replies or its "
                 "state are lost; see the access list of the broker and its limit of their size",

@@ -1,8 +1,8 @@
-"""The archive: a fold from the journal of a drive to the folders of its sessions and trips.
+"""The archive: a fold from the log of a drive to the folders of its sessions and trips.
 
-It gives the same result however often it is run: a Parquet file and `session.json` appear whole,
-and a file of the log is removed when all of it is in them. A full disk, a kill or a damaged part
-of the log therefore needs no repair but another run.
+It gives the same result however often it is run: Parquet files and `session.json` appear whole, and
+a file of the log is removed when all of it is in them. A full disk, a kill or a damaged part of the
+log therefore needs no repair but another run.
 """
 
 import bisect
@@ -13,17 +13,65 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import chain, groupby
+from itertools import groupby
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import ParamSpec, TypeVar
 
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import journal_files, reader, records, segments, session, tables, writer
-from adaptdrive.runtime.reports import MONOTONIC, Severity
-from adaptdrive.safety.trips import ADVICES, TripKind, kind_of, remedy
+from adaptdrive.recording import log_files, reader, records, retention, segments, session
+from adaptdrive.recording.tables import NOTE_ROWS, table_schema, write_parquet
+from adaptdrive.runtime.reports import BINS, MONOTONIC, Severity, bin_of
+from adaptdrive.safety.trips import ADVICES, kind_of, remedy
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
+
+T = TypeVar("T")
+P = ParamSpec("P")
+
+# Segments: rows of all tables, counted, in Parquet files.
+
+_TIMES = ("lateness_us", "turnaround_us", "tick_us")
+
+
+def write_segment(
+    directory: Path, info: session.SessionInfo, part: int, batches: segments.Batches
+) -> session.SessionInfo:
+    """Write a segment of each table, and count its rows and the times of its ticks.
+
+    Args:
+        directory: Directory of the session.
+        info: Its facts.
+        part: Number of the segment.
+        batches: Its rows.
+
+    Returns:
+        Its facts with the segment.
+
+    Raises:
+        RecordingError: Its rows cannot be read.
+        OSError: It cannot be written.
+    """
+    rows = dict(info.rows)
+    times = {name: list(info.histograms.get(name, [0] * BINS)) for name in _TIMES}
+
+    def counted() -> segments.Batches:
+        for table, batch in batches:
+            rows[table] = rows.get(table, 0) + batch.num_rows
+            for name, counts in times.items() if table == session.TableName.TICKS else ():
+                for time_us in batch.column(name).to_pylist():
+                    if not math.isnan(time_us):  # a stand-in tick has no turnaround
+                        counts[bin_of(time_us)] += 1
+            yield table, batch
+
+    write_parquet(lambda table: segments.parquet_path(directory, table, part), counted())
+    histograms = {name: tuple(counts) for name, counts in times.items()}
+    return msgspec.structs.replace(info, segments=part, rows=rows, histograms=histograms)
+
+
+def _schemas(info: session.SessionInfo) -> dict[str, pa.Schema]:
+    return {table: table_schema(table, info) for table in segments.KINDS}
+
 
 # The record of a trip: a small session with the time around it.
 
@@ -36,61 +84,64 @@ def _write_trips(
     directory: Path, header: records.Header, due_s: float, after_s: float
 ) -> list[Path]:
     """Write the record of each trip of a session that has none yet, up to one that is due."""
-    found = segments.segments(directory, session.read_info(directory))
-    recent = {table: [one for one in found if one.table == table][-2:] for table in segments.KINDS}
-    events = segments.read_notes(found, session.TableName.EVENTS, [])
+    noted, recent = (
+        _last_two(segments.segments(directory, session.read_info(directory), wanted))
+        for wanted in (NOTE_ROWS, segments.KINDS)
+    )
+    events, _ = segments.read_notes(noted, [])
     info = msgspec.structs.replace(header.info, ended=session.Ending.ORDERLY, log="")
-    header = msgspec.structs.replace(header, info=info)
-    begin_s, written = _first(recent[session.TableName.TICKS], MONOTONIC), []
+    written = []
     for trip in events:
         name = f"{session.TRIP_PREFIX}{session.time_in_name(trip.time)}-{trip.number}"
-        is_due = trip.kind == journal_files.TRIP and begin_s <= trip.monotonic_s <= due_s
+        is_due = trip.kind == log_files.TRIP and trip.monotonic_s <= due_s
         if is_due and not (directory / name).exists():
             around_s = trip.monotonic_s - _BEFORE_S, trip.monotonic_s + after_s
             near = [one for one in events if around_s[0] <= one.monotonic_s <= around_s[1]]
-            text = _text(info.drive, trip, near)
-            written.append(_write(directory / name, header, recent, around_s, text))
+            with session.unfinished_folder(directory / f".{name}") as folder:
+                kept = _write_rows(folder, info, recent, around_s)
+                session.write_facts(folder, kept, header.config_text)
+                (folder / TEXT_FILE).write_text(_text(info.drive, trip, near), encoding="utf-8")
+                written.append(folder.rename(directory / name))
     return written
 
 
-def _first(found: list[segments.Segment], column: str) -> Any:  # noqa: ANN401 - of the column
-    """Return the first value of a column of ticks; 0 without one."""
-    schema = pa.schema([tables.table_schema(session.TableName.TICKS).field(column)])
-    values = (batch.column(column)[0].as_py() for one in found for batch in one.rows(schema))
-    return next(values, 0)
+def _last_two(found: Sequence[segments.Segment]) -> list[segments.Segment]:
+    return [one for one in found if one.number >= found[-1].number - 1]
 
 
-def _write(
-    path: Path,
-    header: records.Header,
-    recent: dict[str, list[segments.Segment]],
+def _write_rows(
+    folder: Path,
+    info: session.SessionInfo,
+    recent: Sequence[segments.Segment],
     around_s: tuple[float, float],
-    text: str,
-) -> Path:
-    def rows_of(table: str) -> segments.Batches:
-        schema = tables.table_schema(table, header.info)
-        for batch in chain.from_iterable(segment.rows(schema) for segment in recent[table]):
+) -> session.SessionInfo:
+    """Write the rows of a time; return the facts about them."""
+    firsts: list[int] = []
+
+    def near() -> segments.Batches:
+        for table, batch in (pair for one in recent for pair in one.rows(_schemas(info))):
             times_s = batch.column(MONOTONIC).to_pylist()
             first = bisect.bisect_left(times_s, around_s[0])
             last = bisect.bisect_right(times_s, around_s[1])
             if first < last:
-                yield batch.slice(first, last - first)
+                if table == session.TableName.TICKS:
+                    firsts.append(batch.column("sequence")[first].as_py())
+                yield table, batch.slice(first, last - first)
 
-    with session.unfinished_folder(path.with_name(f".{path.name}")) as unfinished:
-        info = segments.write_segment(unfinished, header.info, 1, rows_of)
-        first = _first(segments.segments(unfinished, info, session.TableName.TICKS), "sequence")
-        info = msgspec.structs.replace(info, first_sequence=first)
-        session.write_facts(unfinished, info, header.config_text)
-        (unfinished / TEXT_FILE).write_text(text, encoding="utf-8")
-        return unfinished.rename(path)
+    info = write_segment(folder, info, 1, near())
+    return msgspec.structs.replace(info, first_sequence=min(firsts, default=0))
 
 
 def _text(drive: str, trip: records.EventRow, events: list[records.EventRow]) -> str:
+    """Return a trip with its kind, remedy and page of the manual, and the events near it."""
+    advice, kind = [], kind_of(trip.trip_kind)
+    if kind is not None:
+        advice = [f"kind: {kind}", f"remedy: {remedy(kind)}", f"page: {ADVICES[kind].page}"]
     lines = [
         trip.detail,
         "",
         f"drive {drive}, {trip.time:%Y-%m-%dT%H:%M:%S.%f}Z, tick {trip.tick}",
-        *_advice(kind_of(trip.trip_kind)),
+        *advice,
         "",
         "events before and after:",
         *(f"{one.time:%H:%M:%S.%f} {one.severity:<7} {one.kind}: {one.detail}" for one in events),
@@ -98,16 +149,8 @@ def _text(drive: str, trip: records.EventRow, events: list[records.EventRow]) ->
     return "\n".join(lines) + "\n"
 
 
-def _advice(kind: TripKind | None) -> list[str]:
-    """Return the kind of a trip, its remedy, and the page of the manual that says more."""
-    if kind is None:
-        return []
-    return [f"kind: {kind}", f"remedy: {remedy(kind)}", f"page: {ADVICES[kind].page}"]
-
-
 # The archive: a fold from the log of a drive to the folders of its sessions.
 
-T = TypeVar("T")
 Report = Callable[[Severity, str], None]
 
 ERRORS = (AdaptdriveError, OSError, pa.ArrowException)
@@ -126,7 +169,7 @@ class _Logged:
     """
 
     header: records.Header
-    files: tuple[journal_files.LogFile, ...]
+    files: tuple[log_files.LogFile, ...]
     newest: bool
     open: int
 
@@ -134,6 +177,15 @@ class _Logged:
     def folder(self) -> Path:
         """Folder of the log."""
         return self.files[0].path.parent
+
+    def with_reserve(self, write: Callable[P, T], *what: P.args, **named: P.kwargs) -> T:
+        """Write something, on a full disk into the reserve."""
+        try:
+            return write(*what, **named)
+        except ERRORS:
+            # whatever it was: the reserve is what can be done about it
+            log_files.release(self.folder)
+            return write(*what, **named)
 
 
 def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[Path]:
@@ -160,7 +212,7 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
         return written
     with _alone(folder):
         # listed once: what the daemon begins meanwhile is for the next run, and stays
-        files, live = journal_files.log_files(folder), journal_files.is_live(folder)
+        files, live = log_files.log_files(folder), log_files.is_live(folder)
         for started, group in groupby(files, key=lambda file: file.session):
             of_session, newest = tuple(group), started == files[-1].session
             try:
@@ -190,7 +242,7 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _put_aside(files: Sequence[journal_files.LogFile], report: Report) -> None:
+def _put_aside(files: Sequence[log_files.LogFile], report: Report) -> None:
     """Rename files without a first record that can be read; those that took no record go."""
     for file in files:
         if not file.path.stat().st_size:
@@ -205,29 +257,21 @@ def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> l
     if directory is None:
         return []
     due_s = now_s - after_s if logged.open else math.inf
-    trips = _with_reserve(
-        logged.folder, lambda: _write_trips(directory, logged.header, due_s, after_s)
-    )
+    trips = logged.with_reserve(_write_trips, directory, logged.header, due_s, after_s)
     info = session.read_info(directory)
     for part, files in groupby(logged.files, key=lambda file: file.part):
         if info.segments < part != logged.open:
-            info = close_segment(directory, logged.header, info, part, tuple(files))
+            known = len(info.losses)
+            info = logged.with_reserve(close_segment, directory, info, part, tuple(files))
+            for loss in info.losses[known:]:
+                report(Severity.WARNING, f"session {directory.name}: {loss}")
     if not logged.open and info.ended is session.Ending.OPEN:
-        _with_reserve(logged.folder, lambda: _end(directory, info, logged, report))
+        logged.with_reserve(_cut, directory, info, report)
     if logged.newest:
         keep = logged.header.keep
-        for sentence in segments.prune(directory.parent, keep, datetime.now(UTC), directory):
+        for sentence in retention.prune(directory.parent, keep, datetime.now(UTC), directory):
             report(Severity.INFO, sentence)
     return trips
-
-
-def _with_reserve(folder: Path, write: Callable[[], T]) -> T:
-    try:
-        return write()
-    except ERRORS:
-        # whatever it was: the reserve is what can be done about it
-        writer.release(folder)
-        return write()
 
 
 def _directory(logged: _Logged) -> Path | None:
@@ -237,26 +281,21 @@ def _directory(logged: _Logged) -> Path | None:
         return None
     sessions = logged.folder.parent / header.sessions
     found = session.session_of(sessions, header.info)
-    if found is None and journal_files.last_of(logged.files, *records.ROW_KINDS):
+    if found is None and log_files.last_of(logged.files, *records.ROW_KINDS):
         return session.create_session(sessions, header.info, header.config_text)
     return found
 
 
 def close_segment(
-    directory: Path,
-    header: records.Header,
-    info: session.SessionInfo,
-    part: int,
-    files: Sequence[journal_files.LogFile],
+    directory: Path, info: session.SessionInfo, part: int, files: Sequence[log_files.LogFile]
 ) -> session.SessionInfo:
     """Write one segment; `session.json` is last, and states that it is closed.
 
     Args:
         directory: Directory of the session.
-        header: The session.
         info: Its facts.
         part: Number of the segment.
-        files: Files of the log that hold it.
+        files: Files of the log that hold it, which are read once.
 
     Returns:
         Its facts now.
@@ -266,38 +305,33 @@ def close_segment(
         OSError: The segment cannot be written.
     """
     losses: list[str] = []
-
-    def rows_of(table: str) -> Iterator[pa.RecordBatch]:
-        return segments.logged_batches(
-            files, table, tables.table_schema(table, header.info), losses
-        )
-
-    info = segments.write_segment(directory, info, part, rows_of)
-    last = journal_files.last_of(files, records.Kind.DROPPED)
-    dropped = segments.content_of(last, session.Dropped, losses) if last else None
+    last: dict[records.Kind, records.Record] = {}
+    schemas = _schemas(info)
+    batches = segments.logged_batches(files, schemas, losses, last)
+    info = write_segment(directory, info, part, batches)
+    if dropped := last.get(records.Kind.DROPPED):
+        found = segments.content_of(dropped, session.Dropped, losses)
+        info = msgspec.structs.replace(info, dropped=found or info.dropped)
+    if records.Kind.END in last:
+        info = msgspec.structs.replace(info, ended=session.Ending.ORDERLY)
     losses = [*info.losses, *dict.fromkeys(losses)]
-    info = msgspec.structs.replace(info, dropped=dropped or info.dropped, losses=tuple(losses))
+    info = msgspec.structs.replace(info, losses=tuple(losses))
     session.write_info(directory, info)
     return info
 
 
-def _end(directory: Path, info: session.SessionInfo, logged: _Logged, report: Report) -> None:
-    """Write how a session ended, and report what it lacks."""
-    closed = journal_files.last_of(logged.files, records.Kind.END) is not None
-    ending = session.Ending.ORDERLY if closed else session.Ending.CUT
-    session.write_info(directory, msgspec.structs.replace(info, ended=ending))
-    if ending is session.Ending.CUT:
-        last = reader.read_session(directory).last_tick
-        until = f"its last tick is of {last:%Y-%m-%dT%H:%M:%S.%f}Z" if last else "it has no ticks"
-        detail = f"session {directory.name} ended without its close, the daemon was killed: {until}"
-        report(Severity.WARNING, detail)
-    for loss in info.losses:
-        report(Severity.WARNING, f"session {directory.name}: {loss}")
+def _cut(directory: Path, info: session.SessionInfo, report: Report) -> None:
+    """Write that a session ended without its close, and report it."""
+    session.write_info(directory, msgspec.structs.replace(info, ended=session.Ending.CUT))
+    last = reader.read_session(directory).last_tick
+    until = f"its last tick is of {last:%Y-%m-%dT%H:%M:%S.%f}Z" if last else "it has no ticks"
+    detail = f"session {directory.name} ended without its close, the daemon was killed: {until}"
+    report(Severity.WARNING, detail)
 
 
-def _remove_archived(files: Sequence[journal_files.LogFile], *, live: bool) -> None:
+def _remove_archived(files: Sequence[log_files.LogFile], *, live: bool) -> None:
     """Remove the files before the last one that says what they have left."""
-    sound = journal_files.since_last_begin(files, [])
+    sound = log_files.since_last_begin(files, [])
     if not sound:
         return
     open_part = (files[-1].session, files[-1].part) if live else None

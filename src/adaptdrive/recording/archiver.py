@@ -1,20 +1,25 @@
 """The archiver process: writes what the log has into the folders of its sessions, and ends.
 
+The control process runs it, and takes what it reports line by line.
+
 It is started as `python -m adaptdrive.recording.archiver LOG AFTER [--no-figure]`, AFTER
 being the time after a trip that belongs to its record, and outlives the daemon that started it.
 """
 
+import asyncio
 import contextlib
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
 
+from adaptdrive.recording.records import Pace
 from adaptdrive.runtime.reports import Severity
-from adaptdrive.util.clock import now_s
+from adaptdrive.util.clock import in_thread, now_s
 from adaptdrive.util.errors import escaped
 
 NO_FIGURE = "--no-figure"
@@ -22,6 +27,62 @@ NO_FIGURE = "--no-figure"
 
 _PLOT = ("-m", "adaptdrive.cli", "plot")
 _FIGURE_PATIENCE_S = 120.0
+
+
+# The control process.
+
+Report = Callable[[Severity, str], None]
+
+
+async def run(log: Path, pace: Pace, report: Report, *words: str) -> str:
+    """Run the archiver until it ends; it continues where this is cancelled.
+
+    Args:
+        log: Folder of the log.
+        pace: Time after a trip, and what a thread does first.
+        report: Takes events, in the event loop.
+        words: More words of its command line.
+
+    Returns:
+        Why it failed, empty where it did not.
+    """
+    loop = asyncio.get_running_loop()
+    program = [sys.executable, "-P", "-m", "adaptdrive.recording.archiver"]
+
+    def notify(severity: Severity, detail: str) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(report, severity, detail)
+
+    def call() -> str:
+        pace.start_thread()
+        return _run([*program, str(log), str(pace.trip_s), *words], notify)
+
+    try:
+        return await asyncio.wrap_future(in_thread(call, "archiver"))
+    except (OSError, RuntimeError) as problem:  # no further process or thread
+        return str(problem)
+
+
+def _run(command: Sequence[str], notify: Report) -> str:
+    with subprocess.Popen(  # noqa: S603 - this program itself
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        # Ctrl-C on the terminal is for the control process
+        start_new_session=True,
+    ) as process:
+        for line in process.stdout or ():
+            with contextlib.suppress(msgspec.DecodeError):
+                notify(*msgspec.json.decode(line, type=tuple[Severity, str]))
+        reported = b"" if process.stderr is None else process.stderr.read()
+    if process.returncode == 0:
+        return ""
+    lines = reported.decode(errors="replace").strip().splitlines()
+    return lines[-1] if lines else f"the archiver ended with status {process.returncode}"
+
+
+# The process itself.
 
 
 def step_aside() -> None:

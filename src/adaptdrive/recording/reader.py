@@ -1,9 +1,10 @@
 """Reading a session back, however it ended, and verifying its files."""
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from adaptdrive.recording import records, session, tables
-from adaptdrive.recording.segments import Segment, closed_segments, read_notes, segments
+from adaptdrive.recording.segments import KINDS, Batches, Segment, read_notes, segments
 from adaptdrive.util.errors import RecordingError, reason_of
 from adaptdrive.util.files import read_regular
 
@@ -25,28 +26,44 @@ _INCOMPLETE = "not all of its events and commands can be read"
 
 @dataclass(frozen=True)
 class Session:
-    """A recorded session; its tables are read when they are asked for.
+    """A recorded session; its tables, events and commands are read when they are asked for.
 
     Attributes:
         path: Its directory.
         info: Contents of `session.json`.
         config_text: The configuration it ran with, as TOML.
-        events: Events in their order.
-        commands: Operator commands in their order.
-        damage: Why `events` or `commands` lack some; empty otherwise.
     """
 
     path: Path
     info: session.SessionInfo
     config_text: str
-    events: tuple[records.EventRow, ...]
-    commands: tuple[records.CommandRow, ...]
-    damage: str = ""
 
     @cached_property
     def ticks(self) -> pa.Table:
         """Fast ticks, all of them in memory."""
         return self.table(session.TableName.TICKS)
+
+    @property
+    def events(self) -> tuple[records.EventRow, ...]:
+        """Events in their order."""
+        return self._notes[0]
+
+    @property
+    def commands(self) -> tuple[records.CommandRow, ...]:
+        """Operator commands in their order."""
+        return self._notes[1]
+
+    @property
+    def damage(self) -> str:
+        """Why `events` or `commands` lack some; empty otherwise."""
+        return self._notes[2]
+
+    @cached_property
+    def _notes(self) -> tuple[tuple[records.EventRow, ...], tuple[records.CommandRow, ...], str]:
+        damage: list[str] = []
+        found = segments(self.path, self.info, tables.NOTE_ROWS)
+        events, commands = read_notes(found, damage)
+        return events, commands, "; ".join([*damage, _INCOMPLETE]) if damage else ""
 
     def table(self, name: str) -> pa.Table:
         """Return a table, all of it in memory; raises as `batches`."""
@@ -65,7 +82,8 @@ class Session:
                 that is none of it shows that, too.
         """
         for batches in self._segments(table, columns):
-            yield from batches
+            for _, batch in batches:
+                yield batch
 
     def ends(
         self, table: str, columns: Sequence[str]
@@ -81,7 +99,7 @@ class Session:
         """
         first = next(self.batches(table, columns), None)
         for batches in reversed(self._segments(table, columns)):
-            for last in deque(batches, maxlen=1):
+            for _, last in deque(batches, maxlen=1):
                 return first, last
         return None
 
@@ -92,34 +110,30 @@ class Session:
         found: datetime | None = ends and ends[1].column("utc")[-1].as_py()
         return found
 
-    def _segments(
-        self, table: str, columns: Sequence[str] | None
-    ) -> list[Iterator[pa.RecordBatch]]:
+    def _segments(self, table: str, columns: Sequence[str] | None) -> list[Batches]:
         """Return the rows of each segment of a table, read when they are asked for."""
         schema = tables.table_schema(table, self.info)
         if columns is not None:
             schema = pa.schema([schema.field(name) for name in columns])
-        return [segment.rows(schema) for segment in segments(self.path, self.info, table)]
+        found = segments(self.path, self.info, (table,))
+        return [segment.rows({table: schema}) for segment in found]
 
 
 def session_notes(
-    directory: Path, damage: list[str] | None = None
+    directory: Path,
 ) -> tuple[tuple[records.EventRow, ...], tuple[records.CommandRow, ...]]:
     """Return the events and commands of a session, also where its facts are lost.
 
     Args:
         directory: Directory of the session.
-        damage: Takes what cannot be read, in words; None to refuse that.
 
     Raises:
         RecordingError: They are damaged.
     """
-    try:
-        found = segments(directory, session.read_info(directory))
-    except RecordingError:
-        found = closed_segments(directory)
-    events = read_notes(found, session.TableName.EVENTS, damage)
-    return tuple(events), tuple(read_notes(found, session.TableName.COMMANDS, damage))
+    info = None
+    with suppress(RecordingError):
+        info = session.read_info(directory)
+    return read_notes(segments(directory, info, tables.NOTE_ROWS))
 
 
 def read_session(path: Path) -> Session:
@@ -133,17 +147,7 @@ def read_session(path: Path) -> Session:
     Raises:
         RecordingError: There is no session, or its facts or configuration are damaged.
     """
-    info = session.read_info(path)
-    damage: list[str] = []
-    events, commands = session_notes(path, damage)
-    return Session(
-        path=path,
-        info=info,
-        config_text=_read_text(path / session.CONFIG_FILE),
-        events=events,
-        commands=commands,
-        damage="; ".join([*damage, _INCOMPLETE]) if damage else "",
-    )
+    return Session(path, session.read_info(path), _read_text(path / session.CONFIG_FILE))
 
 
 def _read_text(path: Path) -> str:
@@ -203,67 +207,66 @@ class Verification:
 
 
 def verify(recorded: Session) -> Verification:
-    """Read all of a session, a batch at a time.
+    """Read all of a session once, a batch at a time.
 
     Args:
         recorded: The session.
     """
-    problems: list[str] = []
-    count = _Count(recorded.info.first_sequence)
-    for segment in segments(recorded.path, recorded.info):
+    info, problems = recorded.info, list[str]()
+    schemas = {table: tables.table_schema(table, info) for table in KINDS}
+    count = _Count(info.first_sequence)
+    for segment in segments(recorded.path, info):
         try:
-            for batch in segment.rows(tables.table_schema(segment.table, recorded.info), problems):
-                count.take(segment, batch)
+            for table, batch in segment.rows(schemas, problems):
+                count.take(segment, table, batch)
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
-    info, rows = recorded.info, count.rows
+    rows = count.rows
     problems += [*_missing(info, rows), *info.losses]
     # a whole file that is gone leaves no gap in the running numbers
-    gone = info.rows.get(session.TableName.TICKS, 0) - rows.get(session.TableName.TICKS, 0)
+    gone = info.rows.get(session.TableName.TICKS, 0) - rows[session.TableName.TICKS]
     missing = max(count.missing_ticks, info.dropped.ticks, gone)
     shown = {table: rows[table] for table in session.TABLES if table in rows}
     return Verification(shown, missing, tuple(dict.fromkeys(problems)))
 
 
-@dataclass(slots=True)
 class _Count:
     """Rows of a session, in the order in which they must be.
 
     Attributes:
-        next_sequence: Running number of the next tick.
         missing_ticks: Ticks between those that were counted.
         rows: Rows by table.
-        last: Last key by table.
     """
 
-    next_sequence: int
-    missing_ticks: int = 0
-    rows: dict[str, int] = field(default_factory=dict)
-    last: dict[str, float] = field(default_factory=dict)
+    def __init__(self, first_sequence: int) -> None:
+        self.missing_ticks = 0
+        self.rows = Counter[str]()
+        self._next_sequence = first_sequence
+        self._last: dict[str, float] = {}
 
-    def take(self, segment: Segment, batch: pa.RecordBatch) -> None:
+    def take(self, segment: Segment, table: str, batch: pa.RecordBatch) -> None:
         """Count the rows of a batch.
 
         Raises:
             RecordingError: They are not later than those before them, as in a copy of a file.
         """
-        table, key = segment.table, segment.key
+        key = KINDS[table][2]
         first, last = (batch.column(key)[place].as_py() for place in (0, -1))
         if first is None or last is None:
             raise RecordingError(segment.path, f"it does not hold the {key} of each row")
-        if first <= self.last.get(table, -math.inf):
+        if first <= self._last.get(table, -math.inf):
             raise RecordingError(segment.path, "its rows are not later than those before them")
-        self.last[table] = last
+        self._last[table] = last
         if table == session.TableName.TICKS:
-            self.missing_ticks += last + 1 - self.next_sequence - batch.num_rows
-            self.next_sequence = last + 1
-        self.rows[table] = self.rows.get(table, 0) + batch.num_rows
+            self.missing_ticks += last + 1 - self._next_sequence - batch.num_rows
+            self._next_sequence = last + 1
+        self.rows[table] += batch.num_rows
 
 
 def _missing(info: session.SessionInfo, rows: Mapping[str, int]) -> Iterator[str]:
     """Yield what is missing but ticks, which are counted on their own."""
     for table, number in info.rows.items():
-        missing = number - rows.get(table, 0)
+        missing = number - rows[table]
         if table != session.TableName.TICKS and missing > 0:
             yield f"{missing} of {number} rows of the table {table} are missing"
     for kind, number in {"slow steps": info.dropped.slow, "events": info.dropped.events}.items():

@@ -1,134 +1,20 @@
-"""The recorder service in the control process, and the archiver as that process sees it."""
+"""The recorder service in the control process: gather, hand over to the log, never wait."""
 
 import asyncio
 import contextlib
 import itertools
-import subprocess
-import sys
+import os
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from adaptdrive.recording import journal, journal_files, records, session, writer
+from adaptdrive.recording import archiver, log_files, records, session
+from adaptdrive.recording.log import SYNC, Clock, Log
 from adaptdrive.runtime import reports
-from adaptdrive.util.clock import in_thread
-
-# The archiver as the control process sees it: started when it is due, its output read by line.
-
-_RETRY_S = 60.0
-"""Pause of the archiver after a failure."""
-
-
-class Archiving:
-    """Makes the folder of a session, and runs the archiver at the start and whenever it is due.
-
-    Attributes:
-        directory: Folder of the session, None before it is made.
-    """
-
-    def __init__(
-        self,
-        log: Path,
-        sessions: Path | None,
-        header: records.Header,
-        report: Callable[[reports.Severity, str], None],
-        pace: journal.RecordingPace,
-    ) -> None:
-        """Start nothing yet.
-
-        Args:
-            log: Folder of the log.
-            sessions: Folder of all sessions; without one there is nothing to do.
-            header: The session that is recorded.
-            report: Takes events, in the event loop.
-            pace: Intervals of the recorder.
-        """
-        self.directory: Path | None = None
-        self._sessions = sessions
-        self._header = header
-        program = [sys.executable, "-P", "-m", "adaptdrive.recording.archiver"]
-        self._command = [*program, str(log), str(pace.trip_s)]
-        self._report = report
-        self._pace = pace
-        self._due = asyncio.Event()
-
-    def make_session(self) -> None:
-        """Make the folder of the session where there is none, in the thread of the log.
-
-        Raises:
-            OSError: It cannot be made.
-        """
-        if self._sessions is not None and self.directory is None:
-            info, text = self._header.info, self._header.config_text
-            found = session.session_of(self._sessions, info)
-            self.directory = found or session.create_session(self._sessions, info, text)
-
-    def due(self, after_s: float = 0.0) -> None:
-        """Have it run as soon as it can after a time."""
-        asyncio.get_running_loop().call_later(after_s, self._due.set)
-
-    async def run(self) -> None:
-        """Run it until cancelled."""
-        reported = ""
-        while True:
-            problem = await self.once()
-            if problem and problem != reported:
-                self._report(reports.Severity.ALARM, f"sessions are not written: {problem}")
-            reported = problem
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_RETRY_S if problem else None):
-                    await self._due.wait()
-            self._due.clear()
-
-    async def once(self, *words: str) -> str:
-        """Run it until it ends; it continues where this is cancelled.
-
-        Args:
-            words: More words of its command line.
-
-        Returns:
-            Why it failed, empty where it did not.
-        """
-        loop = asyncio.get_running_loop()
-
-        def notify(severity: reports.Severity, detail: str) -> None:
-            with contextlib.suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(self._report, severity, detail)
-
-        def run() -> str:
-            self._pace.start_thread()
-            return _run([*self._command, *words], notify)
-
-        try:
-            return await asyncio.wrap_future(in_thread(run, "archiver"))
-        except (OSError, RuntimeError) as problem:  # no further process or thread
-            return str(problem)
-
-
-def _run(command: Sequence[str], notify: Callable[[reports.Severity, str], None]) -> str:
-    with subprocess.Popen(  # noqa: S603 - this program itself
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        # Ctrl-C on the terminal is for the control process
-        start_new_session=True,
-    ) as process:
-        for line in process.stdout or ():
-            with contextlib.suppress(msgspec.DecodeError):
-                notify(*msgspec.json.decode(line, type=tuple[reports.Severity, str]))
-        reported = b"" if process.stderr is None else process.stderr.read()
-    if process.returncode == 0:
-        return ""
-    lines = reported.decode(errors="replace").strip().splitlines()
-    return lines[-1] if lines else f"the archiver ended with status {process.returncode}"
-
-
-# The recorder service in the control process: gather, hand over to the log, never wait.
 
 EVENT_KIND = "recording"
 """Kind of the events about the recorder itself."""
@@ -145,6 +31,9 @@ _RATE_Hz = 4 * 120
 
 _COUNTED_S = 10.0
 """Longest time between two records: the next run takes the time since the last from the clock."""
+
+_RETRY_S = 60.0
+"""Pause of the archiver after a failure."""
 
 
 class Recorder:
@@ -163,9 +52,9 @@ class Recorder:
         sessions: Path | None,
         header: records.Header,
         hub: reports.Hub,
-        clock: journal.Clock,
-        pace: journal.RecordingPace = journal.RecordingPace(),  # noqa: B008 - frozen
-        recalled: journal_files.Recalled = journal_files.Recalled(),  # noqa: B008 - frozen
+        clock: Clock,
+        pace: records.Pace = records.Pace(),  # noqa: B008 - frozen
+        recalled: log_files.Recalled = log_files.Recalled(),  # noqa: B008 - frozen
     ) -> None:
         """Prepare to record.
 
@@ -180,31 +69,30 @@ class Recorder:
             recalled: What an earlier run has left in the log.
         """
         self.complete = True
-        self._sessions = sessions
-        header = journal.with_folders(header, log, sessions)
+        self._place = log, sessions
+        self._header = header = with_folders(header, log, sessions)
         held = max(1000, round(_RATE_Hz * pace.flush_s))
         self._ticks = hub.subscribe(reports.TickReport, size=held)
         self._slow = hub.subscribe(reports.LoadReport, size=held)
         self._sensors = hub.subscribe(reports.SensorSample, reports.DriveReport, size=held)
         self._events = hub.subscribe(reports.Event, reports.CommandReport, size=_EVENTS_HELD)
-        self._publish = hub.publish
-        self._clock = clock
-        self._pace = pace
-        self._archiving = Archiving(log, sessions, header, self._report, pace)
-        self._log = journal.Log(
+        self._publish, self._clock, self._pace = hub.publish, clock, pace
+        self._log = Log(
             log,
             header,
             recalled,
             clock,
             pace,
-            on_status=self._on_status,
-            begin_rows=self._archiving.make_session,
+            on_problem=self._on_problem,
+            on_segment=lambda part: self._due.set() if part > 1 else None,
+            begin_rows=self._make_session,
         )
-        self._begun = False
+        self._directory: Path | None = None
+        self._due = asyncio.Event()
+        self._begun = self._stalled = False
         self._waiting: deque[reports.TickReport] = deque()
         self._numbers = itertools.count(1)
         self._reported_loss = self._overflow = session.Dropped()
-        self._stalled = False
         self._last_tick = 0
         self._counted_s, _ = clock()
 
@@ -224,8 +112,7 @@ class Recorder:
 
     def session_name(self) -> str | None:
         """Return the name of the folder of the session, None while there is none."""
-        folder = self._archiving.directory
-        return None if folder is None else folder.name
+        return None if self._directory is None else self._directory.name
 
     async def run(self, begin: asyncio.Event | None = None) -> None:
         """Record until cancelled, then write what is left and close the session.
@@ -255,14 +142,35 @@ class Recorder:
         self._note(self._events.drain())
         await self._log.kept(self._pace.keep_s if patience_s is None else patience_s)
 
+    def _make_session(self) -> None:
+        """Make the folder of the session where there is none, in the thread of the log."""
+        _, sessions = self._place
+        if sessions is not None and self._directory is None:
+            info, text = self._header.info, self._header.config_text
+            found = session.session_of(sessions, info)
+            self._directory = found or session.create_session(sessions, info, text)
+
     async def _archive(self, begin: asyncio.Event | None) -> None:
-        if self._sessions is None:
+        """Run the archiver at the start and whenever it is due, once there is a session."""
+        if self._place[1] is None:
             return
         if begin is not None:
             await begin.wait()
         self._begun = True
         self._log.let_rows_in()
-        await self._archiving.run()
+        reported = ""
+        while True:
+            problem = await self._run_archiver()
+            if problem and problem != reported:
+                self._report(reports.Severity.ALARM, f"sessions are not written: {problem}")
+            reported = problem
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_RETRY_S if problem else None):
+                    await self._due.wait()
+            self._due.clear()
+
+    async def _run_archiver(self, *words: str) -> str:
+        return await archiver.run(self._place[0], self._pace, self._report, *words)
 
     # -- from the feed to the log ----------------------------------------------------------------
 
@@ -285,12 +193,14 @@ class Recorder:
             kind = records.Kind.EVENT if is_event else records.Kind.COMMAND
             row = records.note_row(report, utc, now_s, next(self._numbers))
             self._log.append(kind, msgspec.msgpack.encode(row))
-            if isinstance(report, reports.Event) and report.kind == journal_files.TRIP:
-                self._archiving.due(self._pace.trip_s + 0.1)  # once its record is complete
+            if isinstance(report, reports.Event) and report.kind == log_files.TRIP:
+                # once its record is complete
+                loop = asyncio.get_running_loop()
+                loop.call_later(self._pace.trip_s + 0.1, self._due.set)
 
     async def _gather(self) -> None:
         """Turn queued reports into columns and rows; cancelled half-way, it loses none."""
-        if self._sessions is None:
+        if self._place[1] is None:
             for queue in (self._slow, self._sensors, self._ticks):
                 queue.drain()
             return
@@ -314,7 +224,7 @@ class Recorder:
         overflow = self._log.dropped
         queued = session.Dropped(self._ticks.dropped, self._slow.dropped, self._events.dropped)
         dropped = overflow + queued
-        stalled = overflow != self._overflow or (self._stalled and self._log.behind)
+        stalled = overflow != self._overflow or (self._stalled and self._log.is_behind())
         self._overflow = overflow
         if stalled and not self._stalled:
             why = "the disk has stalled"
@@ -337,9 +247,8 @@ class Recorder:
         self._note(self._events.drain())
         self._count(last=True)
         self._note(self._events.drain())  # with the loss that this has reported
-        self._log.append(records.Kind.END, b"")
         written = await self._log.close(part_s)
-        self.complete = not self._begun or (written and self._archiving.directory is not None)
+        self.complete = not self._begun or (written and self._directory is not None)
         if not self.complete:
             why = "; ".join(filter(None, self._log.problems.values())) or "the disk does not answer"
             self._report(reports.Severity.ALARM, f"the end of the session is not recorded: {why}")
@@ -352,23 +261,39 @@ class Recorder:
             problem = f"it takes longer than {patience_s:g} s"
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(patience_s):
-                    problem = await self._archiving.once("--no-figure")
+                    problem = await self._run_archiver(archiver.NO_FIGURE)
         if problem:
             detail = f"the archiver, or the next start, completes the session's files: {problem}"
             self._report(reports.Severity.WARNING, detail)
 
-    def _on_status(self, outcome: writer.LogStatus) -> None:
-        begun = self._archiving.directory is not None
-        for what, problem in outcome.problems.items():
-            if problem and what == writer.SYNC:
-                risk = f"a power cut may take what is written: {problem}"
-                self._report(reports.Severity.WARNING, risk)
-            elif problem:
-                self._report(reports.Severity.ALARM, f"{STOPPED if begun else UNBEGUN}: {problem}")
-            elif what != writer.SYNC and not self._log.failing:
-                self._report(reports.Severity.INFO, "recording continues")
-        if outcome.part > 1:
-            self._archiving.due()
+    def _on_problem(self, what: str, why: str) -> None:
+        begun = self._directory is not None
+        if why and what == SYNC:
+            risk = f"a power cut may take what is written: {why}"
+            self._report(reports.Severity.WARNING, risk)
+        elif why:
+            self._report(reports.Severity.ALARM, f"{STOPPED if begun else UNBEGUN}: {why}")
+        elif what != SYNC and not self._log.failing:
+            self._report(reports.Severity.INFO, "recording continues")
 
     def _report(self, severity: reports.Severity, detail: str) -> None:
         self._publish(reports.Event(EVENT_KIND, severity, detail, self._last_tick))
+
+
+def with_folders(header: records.Header, log: Path, sessions: Path | None) -> records.Header:
+    """Return facts with the folders, each seen from the other: both may be moved together."""
+    if sessions is None:
+        return header
+    seen = _seen_from(sessions, log)
+    try:
+        seen.encode()
+    except UnicodeEncodeError:
+        seen = ""  # then a reader has to wait for the archiver
+    info = msgspec.structs.replace(header.info, log=seen)
+    return msgspec.structs.replace(header, info=info, sessions=_seen_from(log.parent, sessions))
+
+
+def _seen_from(folder: Path, other: Path) -> str:
+    """Return the path of a folder from another one, which is its own where they are far apart."""
+    near = folder in {other.parent, other.parent.parent}
+    return os.path.relpath(other, folder) if near else str(other)

@@ -1,4 +1,4 @@
-"""Records of the journal: their payloads, and the frames with number, time, kind and checksum.
+"""Records of the log: their payloads, and the frames with number, time, kind and checksum.
 
 Numbers of fast ticks are packed machine arrays, so that a float is read with the very bits that it
 was written with.
@@ -12,7 +12,7 @@ is sound, and reports what it has passed over.
 import struct
 import zlib
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from enum import IntEnum
@@ -116,6 +116,29 @@ class Keep(msgspec.Struct, frozen=True):
 
     days: float | None = None
     bytes: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """Intervals and time-outs of the recorder's writes.
+
+    Attributes:
+        flush_s: Longest time that ticks stay in the control process.
+        backlog_bytes: Bytes of rows that may wait to be written; then the oldest are dropped.
+            About 200 s at 120 Hz.
+        close_s: Longest time that the end of the recording takes, in two parts: the log, and the
+            archiver.
+        trip_s: Time after a trip that belongs to its record.
+        keep_s: Longest time that an event waits for its record before it is published.
+        start_thread: What a thread that writes does first.
+    """
+
+    flush_s: float = 0.2
+    backlog_bytes: int = 4 << 20
+    close_s: float = 8.0
+    trip_s: float = 10.0
+    keep_s: float = 0.2
+    start_thread: Callable[[], None] = lambda: None
 
 
 class Header(msgspec.Struct, frozen=True):

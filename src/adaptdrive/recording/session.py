@@ -7,14 +7,14 @@ the log only is read from there: `session.json` names its folder.
 
 from __future__ import annotations
 
-import errno
+import os
 import shutil
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from enum import StrEnum
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -175,7 +175,9 @@ def create_session(sessions: Path, info: SessionInfo, config_text: str) -> Path:
         # without a sync, for which the thread of the log would wait: all of it is in the log
         (unfinished / CONFIG_FILE).write_text(config_text, encoding="utf-8")
         (unfinished / INFO_FILE).write_bytes(_text(info))
-        return rename_free(unfinished, session_name(info))
+        names = chain([_name(info)], (f"{_name(info)}-{place}" for place in count(2)))
+        free = (sessions / name for name in names if not os.path.lexists(sessions / name))
+        return unfinished.rename(next(free))
 
 
 @contextmanager
@@ -202,40 +204,19 @@ def session_of(sessions: Path, info: SessionInfo) -> Path | None:
         sessions: Folder of all sessions.
         info: The session.
     """
-    name = session_name(info)
-    likeliest_first = sorted(
-        session_directories(sessions),
-        key=lambda path: (not path.name.startswith(name), len(path.name)),
-    )
-    for path in likeliest_first:
+    name, found = _name(info), session_directories(sessions)
+    # the likeliest first
+    for path in sorted(found, key=lambda one: (not one.name.startswith(name), len(one.name))):
         with suppress(RecordingError):
-            found = read_info(path)
-            if (found.started, found.drive) == (info.started, info.drive):
+            known = read_info(path)
+            if (known.started, known.drive) == (info.started, info.drive):
                 return path
     return None
 
 
-def session_name(info: SessionInfo) -> str:
+def _name(info: SessionInfo) -> str:
     """Return the name of the directory of a session, where no other one has it."""
     return f"{info.started:%Y%m%dT%H%M%SZ}_{info.drive}"
-
-
-def rename_free(unfinished: Path, name: str) -> Path:
-    """Rename a folder; a name that is taken gets a number.
-
-    Raises:
-        OSError: It cannot be renamed.
-    """
-    for number in count(1):
-        directory = unfinished.with_name(name if number == 1 else f"{name}-{number}")
-        try:
-            unfinished.rename(directory)
-        except OSError as problem:
-            if problem.errno not in {errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR}:
-                raise
-        else:
-            return directory
-    raise AssertionError
 
 
 def time_in_name(time: datetime) -> str:

@@ -5,7 +5,9 @@ Each field has `unit`, `description` and `source` as metadata.
 
 import math
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from datetime import datetime
 from itertools import chain
 from pathlib import Path
@@ -52,11 +54,9 @@ def _field(column: quantity.Column | SensorColumn, kind: pa.DataType, unit: str)
     return pa.field(column.name, kind, metadata=about)
 
 
-_UTC_FIELD = _field(
-    SensorColumn("utc", "", "wall-clock time of the row, UTC", f"{MONOTONIC} + offset"), UTC, ""
-)
+_UTC = SensorColumn("utc", "", "wall-clock time of the row, UTC", f"{MONOTONIC} + offset")
 _MONOTONIC = SensorColumn(MONOTONIC, "s", "monotonic time of the row", "daemon")
-_MONOTONIC_FIELD = _field(_MONOTONIC, pa.float64(), _MONOTONIC.unit)
+_MONOTONIC_FIELD = _field(_MONOTONIC, pa.float64(), "s")
 
 
 def table_schema(table: str, info: SessionInfo | None = None) -> pa.Schema:
@@ -77,42 +77,35 @@ def table_schema(table: str, info: SessionInfo | None = None) -> pa.Schema:
         units = {"y": info.output_unit if info else "", "u": INPUT_UNIT, "v": given.unit}
         columns = TICK_COLUMNS if table == TableName.TICKS else SLOW_COLUMNS
         fields = [_field(one, _TYPES[one.kind], units.get(one.unit, one.unit)) for one in columns]
-    return pa.schema([_UTC_FIELD, *fields])
+    return pa.schema([_field(_UTC, UTC, ""), *fields])
 
 
-def ticks_batch(timed: Sequence[tuple[Ticks, float]], schema: pa.Schema) -> pa.RecordBatch:
-    """Return fast ticks as a record batch.
+def batch_of(table: str, timed: Sequence[tuple[Any, float]], schema: pa.Schema) -> pa.RecordBatch:
+    """Return rows as a record batch; a value that a row lacks is null.
 
     Args:
-        timed: Ticks, each with UTC minus monotonic time in seconds.
-        schema: Schema of the ticks.
+        table: Name of their table.
+        timed: Packed ticks, or lists of rows by name of their columns, each with UTC minus
+            monotonic time in seconds.
+        schema: The columns wanted.
     """
+    if table == TableName.TICKS:
+        return _ticks_batch(timed, schema)
+    found = ((row, offset_s) for rows, offset_s in timed for row in rows)
+    rows = [row | {"utc": _utc(row[MONOTONIC], offset_s)} for row, offset_s in found]
+    return pa.RecordBatch.from_pylist(rows, schema=schema)
+
+
+def _ticks_batch(timed: Sequence[tuple[Ticks, float]], schema: pa.Schema) -> pa.RecordBatch:
     rows = sum(ticks.rows for ticks, _ in timed)
     arrays = {
         field.name: _array(field.type, [ticks.columns[field.name] for ticks, _ in timed], rows)
         for field in (_MONOTONIC_FIELD, *schema)
-        if field.name != _UTC_FIELD.name
+        if field.name != "utc"
     }
     offsets = (offset_s for ticks, offset_s in timed for _ in range(ticks.rows))
-    arrays[_UTC_FIELD.name] = pa.array(map(_utc, arrays[MONOTONIC].to_pylist(), offsets), UTC)
+    arrays["utc"] = pa.array(map(_utc, arrays[MONOTONIC].to_pylist(), offsets), UTC)
     return pa.RecordBatch.from_arrays([arrays[name] for name in schema.names], schema=schema)
-
-
-def rows_batch(
-    timed: Sequence[tuple[list[dict[str, Any]], float]], schema: pa.Schema
-) -> pa.RecordBatch:
-    """Return rows of any other table as a record batch; a value that a row lacks is null.
-
-    Args:
-        timed: Rows by name of their columns, each with UTC minus monotonic time in seconds.
-        schema: Schema of the table.
-    """
-    rows = (
-        row | {_UTC_FIELD.name: _utc(row[MONOTONIC], offset_s)}
-        for rows, offset_s in timed
-        for row in rows
-    )
-    return pa.RecordBatch.from_pylist(list(rows), schema=schema)
 
 
 def conform(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
@@ -174,7 +167,7 @@ _OPTIONS = {"compression": "zstd", "write_page_checksum": True}
 _ENCODINGS = {
     pa.float64(): "BYTE_STREAM_SPLIT",
     pa.int64(): "DELTA_BINARY_PACKED",
-    pa.timestamp("us", "UTC"): "DELTA_BINARY_PACKED",
+    UTC: "DELTA_BINARY_PACKED",
 }
 
 
@@ -191,34 +184,38 @@ def open_file(path: Path, mode: str) -> pa.OSFile:
     return pa.OSFile(os.fsencode(path), mode)
 
 
-def write_parquet(path: Path, batches: Iterable[pa.RecordBatch]) -> None:
-    """Write a file; it appears under its name when it is complete on the disk.
+def write_parquet(
+    path_of: Callable[[str], Path], batches: Iterable[tuple[str, pa.RecordBatch]]
+) -> None:
+    """Write a file for each table; they appear under their names when all are complete on the disk.
 
     Args:
-        path: The file.
-        batches: Its rows; without a row no file is made.
+        path_of: Returns the file of a table.
+        batches: Rows, each batch with the name of its table; without a row no file is made.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: One cannot be written.
     """
-    groups = _groups(batches)
-    first = next(groups, None)
-    if first is None:
-        return
-    unfinished = path.with_name(f"{path.name}.unfinished")
-    schema = first.schema
-    try:
-        with (
-            open_file(unfinished, "wb") as sink,
-            pq.ParquetWriter(sink, schema, **_OPTIONS, **_encodings(schema)) as file,
-        ):
-            for group in chain([first], groups):
-                file.write_table(group)
-        with unfinished.open("rb") as written:
-            os.fsync(written.fileno())
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    files: dict[Path, pq.ParquetWriter] = {}
+    with ExitStack() as undone:
+        with ExitStack() as opened:
+            for table, group in _groups(batches):
+                path = path_of(table)
+                if path not in files:
+                    undone.callback(_unfinished(path).unlink, missing_ok=True)
+                    sink = opened.enter_context(open_file(_unfinished(path), "wb"))
+                    writer = pq.ParquetWriter(sink, group.schema, **_options(group.schema))
+                    files[path] = opened.enter_context(writer)
+                files[path].write_table(group)
+        for path in files:
+            with _unfinished(path).open("rb") as written:
+                os.fsync(written.fileno())
+        for path in files:
+            _unfinished(path).replace(path)
+
+
+def _unfinished(path: Path) -> Path:
+    return path.with_name(f"{path.name}.unfinished")
 
 
 def read_parquet(path: Path, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
@@ -246,22 +243,21 @@ def read_parquet(path: Path, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
         raise RecordingError(path, str(problem)) from problem
 
 
-def _encodings(schema: pa.Schema) -> dict[str, Any]:
+def _options(schema: pa.Schema) -> dict[str, Any]:
     """Plain bits for numbers: a dictionary of floats would merge what only compares equal."""
     texts = [field.name for field in schema if pa.types.is_dictionary(field.type)]
     numbers = {field.name: _ENCODINGS[field.type] for field in schema if field.type in _ENCODINGS}
-    return {"use_dictionary": texts, "column_encoding": numbers}
+    return {**_OPTIONS, "use_dictionary": texts, "column_encoding": numbers}
 
 
-def _groups(batches: Iterable[pa.RecordBatch]) -> Iterator[pa.Table]:
-    """Yield row groups; the last has what is left."""
-    group: list[pa.RecordBatch] = []
-    rows = 0
-    for batch in batches:
-        group.append(batch)
-        rows += batch.num_rows
-        if rows >= ROW_GROUP:
-            yield pa.Table.from_batches(group)
-            group, rows = [], 0
-    if rows:
-        yield pa.Table.from_batches(group)
+def _groups(
+    batches: Iterable[tuple[str, pa.RecordBatch]],
+) -> Iterator[tuple[str, pa.Table]]:
+    """Yield row groups, each with its table; the last one of a table has what is left."""
+    held = defaultdict[str, list[pa.RecordBatch]](list)
+    for table, batch in batches:
+        held[table].append(batch)
+        if sum(one.num_rows for one in held[table]) >= ROW_GROUP:
+            yield table, pa.Table.from_batches(held.pop(table))
+    for table, group in held.items():
+        yield table, pa.Table.from_batches(group)

@@ -190,7 +190,7 @@ _FORGOTTEN_SHARE = 0.05
 """Share below which the next one is reported again."""
 
 _CAUSES = {
-    "wrong_checksum": "is data_id, data_id_mode or the algorithm of [bus.integrity] another one, "
+    "wrong_checksum": "is crc, data_id or data_id_mode of [bus.integrity] another one, "
     "does a second sender use the id, or is the cable disturbed?",
     "wrong_length": "does the DBC, the EDS or the register map describe another version?",
     "counter_stuck": "does the sender hang, or does a gateway repeat its frames?",

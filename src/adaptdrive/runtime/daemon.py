@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Awaitable, Callable
 
+from adaptdrive.config import Configuration
 from adaptdrive.control.schedule import TwoRate
 from adaptdrive.control.signals import Decision, Reach, Snapshot
 from adaptdrive.devices.port import LAST_STOP_GAP_S, LAST_STOPS, Port
@@ -17,7 +18,7 @@ from adaptdrive.runtime import (
     state_machine,
     tick_support,
 )
-from adaptdrive.runtime.settings import DaemonSettings
+from adaptdrive.runtime.settings import FastLoopSettings, MachineLimits
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.clock import TickTimer
@@ -42,7 +43,9 @@ class Daemon:
         *,
         port: Port,
         controller: TwoRate,
-        settings: DaemonSettings,
+        configuration: Configuration,
+        machine: MachineLimits,
+        fast: FastLoopSettings,
         clock: Callable[[], float],
         hub: reports.Hub,
         manager: tick_support.ServiceManager,
@@ -55,7 +58,9 @@ class Daemon:
         Args:
             port: The drive.
             controller: Its controller.
-            settings: Limits and rates.
+            configuration: Of the drive.
+            machine: Limits of requests.
+            fast: Limits and times of the fast loop.
             clock: Monotonic clock in seconds.
             hub: Where reports go.
             manager: The service manager.
@@ -69,12 +74,12 @@ class Daemon:
         self._another_follows = False
         self._sensors = sensors
         self._port = port
-        self._settings = settings
+        self._configuration = configuration
         self._clock = clock
         self._hub = hub
         self._manager = manager
-        self._machine = state_machine.Machine(settings.machine)
-        self._fast = fast_loop.FastLoop(port, controller, self._machine, settings.fast, self)
+        self._machine = state_machine.Machine(machine)
+        self._fast = fast_loop.FastLoop(port, controller, self._machine, fast, self)
         self._decide = controller.decide
         self._snapshots: asyncio.Queue[Snapshot] = asyncio.Queue(maxsize=_WAITING_AT_MOST)
         self._timer: TickTimer | None = None
@@ -96,7 +101,7 @@ class Daemon:
         loop = asyncio.get_running_loop()
         self._failure = loop.create_future()
         self._timer = TickTimer(loop, self._on_deadline)
-        self._support = tick_support.TickSupport(self._settings.realtime, self._warn, self._clock)
+        self._support = tick_support.TickSupport(self._warn, self._clock)
         self._hub.publish(self._announcer.published)
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -316,7 +321,7 @@ class Daemon:
 
     async def _report(self) -> None:
         while True:
-            await asyncio.sleep(self._settings.report_s)
+            await asyncio.sleep(1.0 / self._configuration.mqtt.telemetry_Hz)
             report = accounts.drive_report(
                 self._fast, self._port.statistics, self._sensors(), self._clock()
             )
@@ -330,7 +335,7 @@ class Daemon:
         ports = {"drive": report.bus} | {one.name: one.bus for one in report.sensors}
         for name, counts in ports.items():
             share = self._refused.setdefault(
-                name, accounts.RefusedShare(name, self._settings.refused_share)
+                name, accounts.RefusedShare(name, self._configuration.interlocks.refused_share)
             )
             detail = share.add(report.time_s, counts)
             if detail is not None:

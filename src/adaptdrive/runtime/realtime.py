@@ -77,11 +77,8 @@ def helper_thread(priority: int | None) -> Callable[[], None]:
 def _asked(settings: Realtime, held: ExitStack) -> Iterator[Grant]:
     if settings.cpu_latency_us is not None:
         yield _keep_awake(settings.cpu_latency_us, held)
-    if settings.cpus:
-        yield _pin(tuple(settings.cpus))
-    if settings.lock_memory:
-        yield _lock_memory()
     if settings.priority is not None:
+        yield _lock_memory()
         yield _schedule(settings.priority)
 
 
@@ -102,15 +99,6 @@ def _schedule(priority: int) -> Grant:
         lambda: os.sched_setscheduler(0, policy, os.sched_param(priority)),
         "ordinary processes cannot delay a tick",
         "any busy process can delay a tick; grant CAP_SYS_NICE or LimitRTPRIO",
-    )
-
-
-def _pin(cpus: tuple[int, ...]) -> Grant:
-    return _attempt(
-        f"cpus = {list(cpus)}",
-        lambda: os.sched_setaffinity(0, cpus),
-        "the daemon and its recorder stay on these CPUs",
-        f"no such CPUs; the daemon runs on {sorted(os.sched_getaffinity(0))}",
     )
 
 
@@ -136,7 +124,7 @@ def _lock_memory() -> Grant:
             raise OSError(ctypes.get_errno(), "")
 
     return _attempt(
-        "lock_memory = true",
+        "memory in RAM",
         do,
         "no page of the daemon is ever swapped out",
         "a tick can wait for the disk while memory is short; grant CAP_IPC_LOCK or "

@@ -7,7 +7,6 @@ from typing import Protocol
 
 from adaptdrive.config.load import LoadSection
 from adaptdrive.config.root import DriveSection
-from adaptdrive.config.services import Realtime
 from adaptdrive.control.signals import UNKNOWN, Decision, Reach, Snapshot
 from adaptdrive.runtime import reports
 from adaptdrive.safety import plausibility
@@ -135,11 +134,11 @@ class MachineLimits:
         _require(what, value, load.reference_min, load.reference_max, f" {load.output_unit}")
 
     def require_reach(self, what: str, value: float, reach: Reach) -> None:
-        """Refuse a set-point that V_c cannot hold, unless it is governed.
+        """Refuse a set-point that V_c cannot hold.
 
         Arguments as of `require_reference`.
         """
-        if not (self.load.govern or can_hold(reach, value)):
+        if not can_hold(reach, value):
             unit, why = f" {self.load.output_unit}", f", which {self.drive.given.symbol} can hold"
             _require(what, value, reach.low, reach.high, unit, why)
 
@@ -218,25 +217,6 @@ class FastLoopSettings:
     watches: tuple[Callable[[], plausibility.Watch], ...] = ()
     drive_clocks: bool = True
     charges_capacitor: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class DaemonSettings:
-    """Settings of the runtime.
-
-    Attributes:
-        machine: Operator's limits.
-        fast: The fast loop.
-        report_s: Time between two drive reports.
-        realtime: How hard the fast loop is protected from the rest of the machine.
-        refused_share: Share of refused frames that trips the drive, 0 for none.
-    """
-
-    machine: MachineLimits
-    fast: FastLoopSettings
-    report_s: float
-    realtime: Realtime
-    refused_share: float = 0.0
 
 
 class LoopServices(Protocol):

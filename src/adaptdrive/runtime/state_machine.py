@@ -92,8 +92,6 @@ class Machine:
             return f"coasting with the bridge off until a {awaited}"
         if self.mode is Mode.MANUAL or self._is_within(reach):
             return ""
-        if self._limits.load.govern:
-            return f"set-point is governed: {given.symbol} can hold {within}, and more is asked for"
         if self.waveform is not None:
             return ""
         outside = f"set-point {self.setpoint:g} {unit} is outside {within}"
@@ -118,12 +116,11 @@ class Machine:
         return self.waveform is None and self.mode is not _MANUAL
 
     def reference(self, tick: int) -> float:
-        """The set-point at a tick; governed to the edge of what V_c can hold where that is set."""
-        asked = self.setpoint
-        if self.waveform is not None:
-            passed_s = (tick - self._waveform_tick) * self._limits.drive.half_cycle_s
-            asked = self.waveform.value(passed_s)
-        return self.reach.nearest(asked) if self._limits.load.govern else asked
+        """The set-point at a tick."""
+        if self.waveform is None:
+            return self.setpoint
+        passed_s = (tick - self._waveform_tick) * self._limits.drive.half_cycle_s
+        return self.waveform.value(passed_s)
 
     def manual_V(self, tick: int) -> float:
         """V_c asked for at a tick in mode manual, 0 in every other."""

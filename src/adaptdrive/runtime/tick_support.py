@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from adaptdrive.config.services import Realtime
 from adaptdrive.runtime.reports import TickReport
 
 # Causes of a late tick: the processor time that the daemon itself used before it.
@@ -18,13 +17,15 @@ _SHARE_WORTH_NAMING = 0.2
 _QUIET_S = 60.0
 """Least time between two reports: a busy machine must not flood the log."""
 
+LATE_US = 2000.0
+"""Lateness from which a tick is reported: a quarter of a half cycle, which no idle machine has."""
+
 
 class LatencyDetector:
     """Counts late ticks, and reports them once a minute with the cause of the last one."""
 
     def __init__(
         self,
-        late_us: float,
         report: Callable[[str], None],
         clock: Callable[[], float],
         used: Callable[[], float] = time.process_time,
@@ -32,12 +33,10 @@ class LatencyDetector:
         """Watch nothing yet.
 
         Args:
-            late_us: Lateness from which a tick is reported.
             report: Receives the report as one sentence.
             clock: Monotonic clock in seconds.
             used: Returns the processor time of this process in seconds.
         """
-        self._late_us = late_us
         self._report = report
         self._clock = clock
         self._used = used
@@ -65,7 +64,7 @@ class LatencyDetector:
         """
         last_s, self._used_s = self._used_s, self._used()
         collected_s, self._collected_s = self._collected_s, 0.0
-        if lateness_us < self._late_us:
+        if lateness_us < LATE_US:
             return
         now_s = self._clock()
         self._worst_us = max(self._worst_us, lateness_us)
@@ -149,20 +148,18 @@ class TickSupport:
 
     def __init__(
         self,
-        settings: Realtime,
         warn: Callable[[str, str], None],
         clock: Callable[[], float],
     ) -> None:
         """Begin to note garbage collections.
 
         Args:
-            settings: From which lateness a tick is late.
             warn: Takes kind and text of an event: the cause of a late tick.
             clock: Monotonic clock in seconds.
         """
         self._loop = asyncio.get_running_loop()
         self._collector = IdleCollector()
-        self._detector = LatencyDetector(settings.late_us, partial(warn, "latency"), clock)
+        self._detector = LatencyDetector(partial(warn, "latency"), clock)
         self._detector.open()
 
     def ticked(self, report: TickReport, *, idle: bool) -> None:

@@ -16,8 +16,8 @@ from tests.unit.devices.scpi.test_port import EXAMPLE, Supply
 
 _ON, _FAULT, _NO_VALUE = 1, 2, 0xFFFF
 _BITS: dict[str, str | None] = {
-    "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
-    "bus__registers__fault": "{ address = 5, table = 'input', bit = 1 }",
+    "bus__registers__on": "{ address = 5, table = 'input', mask = 0x1 }",
+    "bus__registers__fault": "{ address = 5, table = 'input', mask = 0x2 }",
     "signals__bridge": '"on"',
     "signals__fault": '"fault"',
 }

@@ -65,7 +65,6 @@ STAGE = PowerStage(
     boost_reference_min_V=200.0,
     boost_reference_max_V=400.0,
     load_power_max_W=1500.0,
-    feed_forward=True,
     holds_voltage=False,
 )
 RATES = Rates(
@@ -75,7 +74,6 @@ PLAIN_LEARNING = EstimatorSettings(
     method="lm-rls",
     forgetting=0.97,
     tau_lambda_s=10.0,
-    dead_band=0.0,
     initial_covariance=1e4,
     settle_periods=0,
     gate=0.0,

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, machine_limits
 from adaptdrive.config.file import load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot, Stage
@@ -110,7 +110,7 @@ def test_the_slowest_pole_that_may_be_asked_for_settles_a_load_that_the_model_mi
         filter_s=1.1 * usual.filter_s,
         tachometer_Vs=0.9 * usual.tachometer_Vs,
     )
-    slowest = daemon_settings(CONFIGURATION).machine.pole_max
+    slowest = machine_limits(CONFIGURATION).pole_max
     bench = PolledBench(12, motor=missed)
     bench.run(10, LOW, pole=slowest)
     bench.run(600, LOW + 0.3, pole=slowest)

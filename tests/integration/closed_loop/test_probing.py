@@ -120,8 +120,8 @@ def test_without_probing_they_are_not_known_and_operators_are_told(seed: int) ->
 
 
 def test_a_movement_ends_what_operators_are_told_of_a_load_at_rest() -> None:
-    drive = learnt_drive({"load": {"probe_s": 60.0}}, 0.002, 76)
-    wait(drive, 90.0)
+    drive = learnt_drive({}, 0.002, 76)
+    wait(drive, 330.0)
     told = state_report(drive.machine, drive.decision, StopWord.AWAITED).reason
     assert told.startswith("the load may have changed: ")
     drive.carry_out(SetSetpoint(HIGH))
@@ -150,7 +150,7 @@ def test_a_waveform_is_never_moved() -> None:
 
 @pytest.mark.proof
 def test_at_rest_it_is_off_unless_it_is_asked_for() -> None:
-    off = course({"load": {"probe_share": 0.0, "probe_s": 10.0}}, None)
+    off = course({"load": {"probe_share": 0.0}}, None)
     assert off == course({}, None) != course(PROBED, None)
 
 
@@ -158,7 +158,7 @@ def test_at_rest_it_is_off_unless_it_is_asked_for() -> None:
     "request_", sample([SetSetpoint(3.1), Disable(), SetMode(Mode.MANUAL), SetMode(Mode.FIXED)], 1)
 )
 def test_operators_see_it_and_end_it_at_once(request_: Request) -> None:
-    drive = motor_drive({"load": {"probe_share": 0.02, "probe_s": 30.0}}, 0.002, 74)
+    drive = motor_drive(PROBED, 0.002, 74)
     wait_for_a_probe(drive)
     report = state_report(drive.machine, drive.decision, StopWord.AWAITED)
     assert "probing: the set-point is moved by +0.09" in report.reason
@@ -214,7 +214,7 @@ class RecordedDrive(OperatedDrive):
 @pytest.mark.proof
 def test_a_probe_is_replayed_bit_for_bit(tmp_path: Path) -> None:
     tables = example_tables("motor.toml")
-    tables["load"] |= PROBED["load"] | {"probe_s": 30.0}
+    tables["load"] |= PROBED["load"]
     configuration = validate_configuration(tables, EXAMPLES / "motor.toml")
     world = World(Motor(MotorParameters()), WorldParameters(noise=NoiseParameters(sigma=2e-3)))
     world.settle(world.boost_voltage_for(LOW))

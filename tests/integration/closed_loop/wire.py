@@ -16,7 +16,7 @@ from typing import Any
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.ports import build_whole_port, sensor_reports
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, fast_settings, machine_limits
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.devices.can.bus import open_bus
@@ -118,7 +118,9 @@ async def wired(
     daemon = Daemon(
         port=port,
         controller=Controller(controller_settings(configuration), build_load(configuration)),
-        settings=daemon_settings(configuration),
+        configuration=configuration,
+        machine=machine_limits(configuration),
+        fast=fast_settings(configuration),
         clock=clock,
         hub=hub,
         manager=ServiceManager({}),

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, fast_settings, machine_limits
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Command, Decision
@@ -24,7 +24,7 @@ from adaptdrive.runtime.reports import Event, Hub, LoadReport, State
 from adaptdrive.runtime.requests import Request
 from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.safety.facts import Reading
-from adaptdrive.safety.timing import Timing
+from adaptdrive.safety.timing import Timing, timing_of
 from adaptdrive.util.errors import RefusedError
 from tests.loopback_port import LoopbackPort
 from tests.support import text_of
@@ -100,17 +100,18 @@ class DaemonByHand:
             commanded: Called with each command that reaches the bus.
             now: Monotonic time.
         """
-        settings = daemon_settings(configuration)
         controller = Controller(controller_settings(configuration), build_load(configuration))
         modulus = 65536 if configuration.signals.counter is not None else None
         self.now, self.ran_s = now, -math.inf
-        self.port = QueuedPort(commanded, modulus, settings.fast.timing)
+        self.port = QueuedPort(commanded, modulus, timing_of(configuration))
         self.hub = hub = Hub()
         self._reports = hub.subscribe(Event, LoadReport, size=100_000)
         self.daemon = Daemon(
             port=self.port,
             controller=controller,
-            settings=settings,
+            configuration=configuration,
+            machine=machine_limits(configuration),
+            fast=fast_settings(configuration),
             clock=lambda: self.now,
             hub=hub,
             manager=ServiceManager({}),

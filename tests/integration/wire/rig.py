@@ -15,7 +15,7 @@ import pytest
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.ports import build_port
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, fast_settings, machine_limits
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.devices.port import Port
@@ -115,7 +115,7 @@ class Rig:
 
 def reachable(configuration: Configuration) -> float:
     """A set-point that V_c can hold by the nominal model."""
-    load, reach = configuration.load, daemon_settings(configuration).machine.reach
+    load, reach = configuration.load, machine_limits(configuration).reach
     return 0.5 * (max(load.reference_min, reach.low) + min(load.reference_max, reach.high))
 
 
@@ -129,7 +129,9 @@ async def rigged(configuration: Configuration) -> AsyncIterator[Rig]:
     daemon = Daemon(
         port=port,
         controller=Controller(controller_settings(configuration), build_load(configuration)),
-        settings=daemon_settings(configuration),
+        configuration=configuration,
+        machine=machine_limits(configuration),
+        fast=fast_settings(configuration),
         clock=clock,
         hub=hub,
         manager=ServiceManager({}),

@@ -157,8 +157,8 @@ async def test_a_modbus_drive_without_values_once_it_is_off_confirms_its_stop(
     *, fault: bool
 ) -> None:
     bits: dict[str, str | None] = {
-        "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
-        "bus__registers__fault": "{ address = 5, table = 'input', bit = 1 }",
+        "bus__registers__on": "{ address = 5, table = 'input', mask = 0x1 }",
+        "bus__registers__fault": "{ address = 5, table = 'input', mask = 0x2 }",
         "signals__bridge": '"on"',
         "signals__fault": '"fault"',
     }

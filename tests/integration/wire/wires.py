@@ -94,7 +94,7 @@ class CanWire:
         self.configuration = parse_configuration(text or motor_text(), source)
         assert isinstance(self.configuration.bus, CanBus)
         self.bus = open_bus(self.configuration.bus)
-        database = cantools.database.load_file(self.configuration.bus.database)
+        database = cantools.database.load_file(self.configuration.bus.database[0])
         assert isinstance(database, Database)
         self.drive = can_bench.Drive(self.bus, database)
         self.spoil: Spoil = as_it_is

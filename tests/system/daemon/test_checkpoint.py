@@ -13,11 +13,7 @@ WARM_UP = 12
 QUICK = {
     **QUICK_MOTOR,
     "supervisor.warm_up_s": str(WARM_UP * 0.25),
-    "supervisor.spread_max": "0.0",
-    "supervisor.residual_margin": "0.0",
-    "supervisor.confidence": "0.0",
     "estimator.settle_s": "0.0",
-    "recording.flush_s": "0.5",
 }
 WAVE = {"shape": "square", "low": 2.9, "high": 3.2, "period_s": 3.0}
 

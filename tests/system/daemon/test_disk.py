@@ -15,6 +15,7 @@ from tests.support import slow_disk
 from tests.system.conftest import MakeSite
 from tests.system.daemon.own_disk import mounted, run_privileged, stalled
 from tests.system.daemon.site import BusEar, Site, until
+from tests.unit.cli.here import run_here
 
 pytestmark = pytest.mark.proof
 
@@ -89,6 +90,28 @@ def test_the_drive_runs_on_and_recording_resumes(
     if fault is not stalled:
         assert any("recording has stopped" in detail for detail in said)
         assert any("recording continues" in detail for detail in said), said
+
+
+def test_a_stop_on_a_full_disk_leaves_a_whole_session(make_site: MakeSite, disk: Path) -> None:
+    """All of it is in its files, and stays there once the disk is free again."""
+    site = make_site()
+    site.environment["STATE_DIRECTORY"] = str(disk)
+    site.start("--initial-voltage", "280")
+    site.run_drive()
+    folder = newest(disk / "sessions")
+    until(lambda: read_session(folder).ticks.num_rows > 120, "ticks are recorded")
+    with full(disk):
+        until(lambda: _reported(site, "recording has stopped"), "the report of the fault")
+        assert site.stop_daemon() == 0
+    answer = run_here("sessions", "verify", STATE_DIRECTORY=str(disk))
+    assert (answer.returncode, answer.stderr) == (0, "")
+    session = read_session(folder)
+    assert session.info.ended is Ending.ORDERLY
+    assert session.info.dropped == Dropped()
+    assert (folder / "ticks-0001.parquet").exists()
+    ticks = site.ear.on("telemetry/drive")[-1].content["ticks"]
+    assert session.ticks["sequence"].to_pylist() == list(range(session.ticks.num_rows))
+    assert session.ticks.num_rows > ticks
 
 
 def test_a_slow_disk_holds_up_no_end_and_loses_no_event(make_site: MakeSite) -> None:

@@ -31,9 +31,7 @@ GROWTH_MiB = 16.0
 
 BUSY = {
     "mqtt.telemetry_Hz": "10.0",
-    "recording.flush_s": "0.25",
     "realtime.priority": "50",
-    "realtime.late_us": "4000.0",
 }
 
 Load = Callable[[Site], contextlib.AbstractContextManager[None]]

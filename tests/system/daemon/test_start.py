@@ -100,7 +100,7 @@ def test_one_terminal_runs_a_drive_and_ends_it_in_order(tmp_path: Path, free_tcp
         said = screen.read()
     assert "ending: panel, daemon, simulated drive, broker" in said
     assert none_left(members)
-    log = (tmp_path / "state" / "motor.daemon.log").read_text()
+    log = (tmp_path / "state" / "motor.daemon.out").read_text()
     assert "running to " in log
     assert log.splitlines()[-1].find("stopped") > 0
 

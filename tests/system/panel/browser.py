@@ -26,7 +26,6 @@ SETTINGS = {
     **QUICK_MOTOR,
     "estimator.settle_s": "1.0",
     "supervisor.warm_up_s": "4.0",
-    "supervisor.dwell_periods": "1",
 }
 
 

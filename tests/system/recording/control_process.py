@@ -10,10 +10,9 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
-from adaptdrive.app.reload import log_events
-from adaptdrive.recording.journal import RecordingPace
+from adaptdrive.app.reload import write_events
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.records import Header
+from adaptdrive.recording.records import Header, Pace
 from adaptdrive.runtime.reports import Event, Hub, Severity
 from tests.unit.recording.material import INFO, make_tick
 
@@ -32,14 +31,14 @@ async def publish(hub: Hub) -> None:
 
 async def main(sessions: Path) -> None:
     hub = Hub()
-    pace = RecordingPace(flush_s=0.1, keep_s=60.0)
+    pace = Pace(flush_s=0.1, keep_s=60.0)
     log = sessions.with_name("motor.log")
     recorder = Recorder(log, sessions, Header(INFO, ""), hub, clock, pace)
     hub.kept = recorder.kept
     events = hub.subscribe(Event, size=1000)
     async with asyncio.TaskGroup() as group:
         group.create_task(recorder.run())
-        group.create_task(log_events(events, hub.kept))
+        group.create_task(write_events(events, hub.kept))
         group.create_task(publish(hub))
 
 

@@ -18,10 +18,9 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.recording.journal import RecordingPace
 from adaptdrive.recording.reader import Session, read_session, verify
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.records import Header
+from adaptdrive.recording.records import Header, Pace
 from adaptdrive.recording.session import Ending, session_directories
 from adaptdrive.runtime.reports import Event, Hub, Severity
 from tests.support import Process, sample, slow_disk
@@ -194,7 +193,7 @@ async def record_trip(sessions: Path, filler: Path | None = None) -> Path:
     told, heard = hub.subscribe(Event, size=100), list[str]()
     log = sessions.with_name("motor.log")
     clock = lambda: (time.monotonic(), time.time())  # noqa: E731
-    pace = RecordingPace(flush_s=0.05, close_s=PATIENCE_S, trip_s=0.5)
+    pace = Pace(flush_s=0.05, close_s=PATIENCE_S, trip_s=0.5)
     recorder = Recorder(log, sessions, Header(INFO, ""), hub, clock, pace)
     running = asyncio.create_task(recorder.run())
     async with asyncio.timeout(PATIENCE_S):

@@ -78,7 +78,6 @@ def test_without_a_record_there_is_nothing_to_report() -> None:
         {"drive__name": '"other"'},
         {"signals__output__scale": "0.9"},
         {"bus__channel": '"plant"'},
-        {"voltage_loop__feed_forward": "false"},
     ],
 )
 def test_another_configuration_does_not_take_it(record: bytes, change: dict[str, str]) -> None:

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from adaptdrive.app.examine import advice, examine_text
 from adaptdrive.app.ports import build_port, bus_kind
-from adaptdrive.app.settings import daemon_settings, operator_profile, trip_limits
+from adaptdrive.app.settings import machine_limits, operator_profile, trip_limits
 from adaptdrive.cli.display import describe
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command, Reach
@@ -59,7 +59,7 @@ def test_texts_have_its_name_and_unit() -> None:
     assert cause.text == "drive above its limit: frequency = 56.0 Hz, limit 55 Hz"
     assert "scale" in remedy(cause.kind)
     with pytest.raises(RefusedError, match=r"60 Hz is outside 0…50 Hz"):
-        daemon_settings(configuration).machine.require_voltage(60.0, None)
+        machine_limits(configuration).require_voltage(60.0, None)
 
 
 UNTRUE = re.compile(r"V_c|v_bst|boost voltage|(?<!_)\bV\b|/V\b")
@@ -67,7 +67,7 @@ UNTRUE = re.compile(r"V_c|v_bst|boost voltage|(?<!_)\bV\b|/V\b")
 
 def leaving(configuration: Configuration) -> Iterator[str]:
     """Yield what operators, figures, records and other programs are told of a drive."""
-    machine, profile = daemon_settings(configuration).machine, operator_profile(configuration)
+    machine, profile = machine_limits(configuration), operator_profile(configuration)
     for refuse in (
         lambda: machine.require_voltage(1e3, None),
         lambda: machine.require_reach("setpoint", 1e3, Reach(0.0, 5.0)),
@@ -142,7 +142,7 @@ command_timeout_s = 0.5
 boost_voltage_V = "Torque.Torque_Feedback"
 output = { signal = "Motion.Motor_Speed", unit = "rpm" }
 bridge = "States.Inverter_Enable_State"
-faults = ["Faults.Post_Fault_Lo", "Faults.Run_Fault_Lo"]
+fault = ["Faults.Post_Fault_Lo", "Faults.Run_Fault_Lo"]
 [signals.command]
 boost_reference_V = "Command.Torque_Command"
 bridge = "Command.Inverter_Enable"
@@ -151,6 +151,9 @@ where = "drive"
 lag_s = 0.05
 [load]
 type = "motor"
+period_s = 1.0
+pole = 0.7
+output_name = "speed"
 output_unit = "rad/s"
 reference_min = -200.0
 reference_max = 200.0
@@ -191,6 +194,6 @@ def test_a_torque_inverter_on_can_is_described_by_a_file_with_flaws(tmp_path: Pa
     assert "line 16: a name that begins with a digit" in cautions
     assert any(one.startswith("line 16: signal '_5V_Rail' does not fit") for one in cautions)
     limits = {name for name, _, _ in bus_kind("can").time_limits(configuration, path)}
-    assert {"stale output", "stale faults.0", "stale faults.1"} <= limits
+    assert {"stale output", "stale fault.0", "stale fault.1"} <= limits
     probed = build_port(configuration, lambda: 0.0, path, passive=True)
     assert probed.monitor.slack_s is not None

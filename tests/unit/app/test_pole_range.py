@@ -12,7 +12,7 @@ import pytest
 from adaptdrive.app.check_report import sound_report, tables
 from adaptdrive.app.examine import implausible
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, daemon_settings, operator_profile
+from adaptdrive.app.settings import controller_settings, machine_limits, operator_profile
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.design.pole_placement import Plant, discrete_model
 from adaptdrive.recording.replay import reconfigured
@@ -30,8 +30,7 @@ def configured(name: str, *changes: str) -> Configuration:
 
 def ask(configuration: Configuration, pole: float) -> float:
     """The pole in force after a command."""
-    settings = daemon_settings(configuration)
-    machine = Machine(settings.machine)
+    machine = Machine(machine_limits(configuration))
     machine.carry_out(SetPole(pole), 0, math.nan, None)
     return machine.pole
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.app.recording import Learnt, build_recorder
-from adaptdrive.recording.journal_files import Recalled
+from adaptdrive.recording.log_files import Recalled
 from adaptdrive.runtime.reports import Hub
 from adaptdrive.util.errors import RecordingError
 from tests.unit.config.documents import parse

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -73,3 +75,21 @@ def test_a_broker_that_cannot_be_used_is_named_with_its_place(
     path.write_text(f"[mqtt]\n{line}\n")
     with pytest.raises(ConfigurationError, match=place):
         _ = Contact(config=path).settings
+
+
+@pytest.mark.usefixtures("outside")
+@pytest.mark.parametrize("verb", ["disable", "status"])
+def test_a_command_over_mqtt_reads_no_whole_configuration(tmp_path: Path, verb: str) -> None:
+    """A stop that takes ten seconds on a busy laptop is none."""
+    path = tmp_path / "motor.toml"
+    path.write_text("[mqtt]\nport = 1\n")
+    program = (
+        "import sys; from adaptdrive.cli import main;"
+        f"main(['{verb}', 'pump', '--config', {str(path)!r}]);"
+        "print(sorted({'pydantic', 'pyarrow', 'rich', 'numpy', 'cantools'} & sys.modules.keys()))"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", program], check=False, capture_output=True, text=True
+    )
+    assert ran.stdout.splitlines()[-1] == "[]"
+    assert "127.0.0.1:1" in ran.stderr

@@ -148,6 +148,16 @@ def test_what_a_killed_daemon_has_left_unwritten_is_named(tmp_path: Path) -> Non
         assert run(tmp_path, "sessions", "verify").returncode == 0
 
 
+def test_what_a_stop_had_no_room_for_is_whole_in_the_log(tmp_path: Path) -> None:
+    info = msgspec.structs.replace(INFO, log="../motor.log")
+    directory = create_session(tmp_path / "sessions", info, "")
+    batch = make_batch([make_tick(number) for number in range(10)], last=True)
+    write_log(tmp_path / "motor.log", Header(info, ""), batch)
+    answer = run(tmp_path, "sessions", "verify")
+    assert (answer.returncode, answer.stdout) == (0, f"{directory.name}: 10 ticks; whole\n")
+    assert f"{directory.name}: data and events that the next start" in answer.stderr
+
+
 def test_ticks_lost_at_the_end_are_missing_in_whichever_session(state: Path) -> None:
     answer = run(state, "sessions", "verify")
     assert answer.returncode == 1

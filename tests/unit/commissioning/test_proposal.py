@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from adaptdrive.analysis.closed_loop import LoopCourse
+from adaptdrive.analysis.curves import Response
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.commissioning.course import Samples
@@ -34,7 +34,7 @@ RAISED_V = 40.0
 
 
 @cache
-def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, LoopCourse, float]:
+def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, Response, float]:
     """A draw, what commissioning proposes for it, what it predicts, and the voltage before."""
     random = np.random.default_rng([seed, 15])
     draw = KINDS[kind](random)

@@ -107,14 +107,6 @@ def test_a_slow_period_is_a_whole_number_of_half_cycles(half_cycles: float) -> N
     assert refused == (not whole or not 0.5 <= half_cycles <= 432_000.0)
 
 
-@given(low=st.floats(0.01, 0.99), pole=st.floats(0.01, 0.99), high=st.floats(0.01, 0.99))
-def test_a_pole_is_accepted_exactly_when_it_lies_in_its_range(
-    low: float, pole: float, high: float
-) -> None:
-    found = flaws(load__pole_min=repr(low), load__pole=repr(pole), load__pole_max=repr(high))
-    assert (not found) == (low <= pole <= high)
-
-
 @given(st.text())
 def test_any_text_is_either_a_configuration_or_a_listed_error(text: str) -> None:
     with pytest.raises(ConfigurationError) as caught:

@@ -171,7 +171,6 @@ def test_either_estimator_is_there_for_either_load(
         method="lm-rls" if filtered else "rls",
         forgetting=1.0,
         tau_lambda_s=10.0 * period_s,
-        dead_band=0.0,
         initial_covariance=1e8,
         settle_periods=0,
         gate=0.0,

@@ -36,6 +36,7 @@ NOT_IMPORTED = {
     "pytest-timeout": "a plug-in",
     "pytest-xdist": "a plug-in",
     "ruff": "a program",
+    "uv": "a program",
 }
 
 

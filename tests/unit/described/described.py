@@ -19,7 +19,7 @@ from tests.unit.devices.bench import until
 
 DEVICES = Path(__file__).parents[3] / "deploy" / "devices"
 NAMES = sorted(path.stem for path in DEVICES.glob("*.toml"))
-_LINE = ("device", "baud", "parity", "stop_bits")
+_LINE = ("device", "baud", "form")
 """Keys of a serial line; the fakes serve its packets over TCP."""
 
 

@@ -211,7 +211,7 @@ def rewritten(folder: Path, *changes: tuple[str, str], bus: CanBus = MOTOR_BUS) 
         text = text.replace(old, new)
     database = folder / "rewritten.dbc"
     database.write_text(text, encoding="utf-8")
-    return bus.model_copy(update={"database": database})
+    return bus.model_copy(update={"database": [database]})
 
 
 def build_port(

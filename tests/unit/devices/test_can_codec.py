@@ -245,7 +245,7 @@ WORDS = """ SG_ Volts : 0|16@1+ (0.1,0) [0|6553.4] "V" X
 def test_the_values_beside_a_refused_one_are_those_in_range(
     status: str, values: dict[str, float]
 ) -> None:
-    integrity = FrameIntegrity(counter="Alive", checksum="Crc", algorithm="sae-j1850")
+    integrity = FrameIntegrity(counter="Alive", checksum="Crc")
     codec = MessageCodec(dbc(WORDS), integrity, measured={"Volts", "Amps"})
     frame = with_crc(bytes.fromhex("ffff 0100") + bytes.fromhex(status) + bytes(2))
     decoded = codec.decode(frame)
@@ -300,9 +300,7 @@ def test_a_measurement_is_unavailable_even_where_the_database_forgot_it(declared
 def test_a_counter_that_the_database_ends_early_wraps_there() -> None:
     # AUTOSAR profile 1 counts from 0 to 14; 15 is an error
     message = dbc(' SG_ Alive : 8|4@1+ (1,0) [0|14] "" X\n SG_ Crc : 0|8@1+ (1,0) [0|255] "" X')
-    integrity = FrameIntegrity(
-        counter="Alive", checksum="Crc", algorithm="autosar-p01", data_id=0x123
-    )
+    integrity = FrameIntegrity(counter="Alive", checksum="Crc", data_id=0x123)
     sender, receiver = MessageCodec(message, integrity), MessageCodec(message, integrity)
     frames = [sender.encode({}) for _ in range(31)]
     assert frames[0][:2] == b"\xcc\x00"

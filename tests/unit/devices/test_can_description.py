@@ -290,7 +290,7 @@ def test_a_name_of_several_values_is_a_flaw(tmp_path: Path) -> None:
         text.replace('2 "Run"', '2 "Run" 4 "Run"').replace('85 "Run"', '85 "Run" 3 "Run"')
     )
     configuration = commanding()
-    bus = configuration.bus.model_copy(update={"database": path})
+    bus = configuration.bus.model_copy(update={"database": [path]})
     with pytest.raises(ConfigurationError) as caught:
         port_of(configuration.model_copy(update={"bus": bus}))
     found = {flaw.place: flaw.message for flaw in caught.value.flaws}
@@ -350,7 +350,7 @@ async def test_long_frames_of_can_fd_are_exchanged(tmp_path: Path, free_udp_port
     port, ear = port_of(MOTOR.model_copy(update={"bus": bus})), Ear()
     peer = open_bus(bus)
     drive = Drive(peer)
-    message = load(bus.database).get_message_by_name("DriveLoad")
+    message = load(bus.database[0]).get_message_by_name("DriveLoad")
     async with running(port, ear):
         drive.send_status()
         names = [signal.name for signal in message.signals]
@@ -392,7 +392,7 @@ def test_a_voltage_that_comes_seldom_is_no_business_of_the_fast_loop(tmp_path: P
 
 def test_a_voltage_that_comes_seldom_feeds_no_voltage_loop_by_a_detour(tmp_path: Path) -> None:
     tables = tomllib.loads((EXAMPLES / "motor.toml").read_text())
-    tables["bus"]["database"] = str(rewritten(tmp_path, SELDOM).database)
+    tables["bus"]["database"] = str(rewritten(tmp_path, SELDOM).database[0])
     signals = tables["signals"]
     signals["other"] = {"dc_link": signals.pop("boost_voltage_V")}
     tables["derived"] = {"boost_voltage_V": {"rule": "mean", "of": ["dc_link"]}}

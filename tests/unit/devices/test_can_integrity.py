@@ -11,7 +11,8 @@ from adaptdrive.devices.can.integrity import AliveCounter, Checksum, FrameVerdic
 
 
 def autosar(data_id: int, mode: str) -> Checksum:
-    form = {"algorithm": "autosar-p01", "data_id": data_id, "data_id_mode": mode}
+    form: dict[str, object] = {"data_id": data_id}
+    form |= {"nibble": "Half"} if mode == "nibble" else {"data_id_mode": mode}
     return checksum_function(FrameIntegrity.model_validate(form))
 
 

@@ -73,7 +73,7 @@ def frames(
     path.write_text(text.replace(_SIGNALS, dbc[0]) + start + dbc[1])
     configuration = load_configuration(EXAMPLES / "motor-inverter.toml")
     assert isinstance(configuration.bus, CanBus)
-    bus = configuration.bus.model_copy(update={"database": path})
+    bus = configuration.bus.model_copy(update={"database": [path]})
     timing = replace(TIMING, stale_s=0.1, voltage_parts=frozenset())
     signals = configuration.signals
     signals.command.constants.update({f"HOST_CMD.{name}": constants[name] for name in constants})

@@ -54,7 +54,7 @@ SIGNALS = Signals.model_validate(
         "boost_voltage_V": "TX.CURRENT",
         "output": {"signal": "TX.SPEED", "unit": "rpm"},
         "bridge": {"signal": "TX.STATUS", "on": 1},
-        "faults": "TX.ERRORS",
+        "fault": "TX.ERRORS",
         "command": {
             "boost_reference_V": "RX.TORQUE",
             "bridge": {"signal": "RX.DISABLE", "on": 0, "off": 4},

@@ -155,7 +155,7 @@ def test_what_the_database_does_not_have_is_listed_with_its_place(tmp_path: Path
         "sensor_bus.1.integrity.DriveLoad.counter",
     }
     assert "did you mean 'Tachometer'" in str(caught.value)
-    absent = config.model_copy(update={"database": tmp_path / "none.dbc"})
+    absent = config.model_copy(update={"database": [tmp_path / "none.dbc"]})
     with pytest.raises(ConfigurationError, match=r"sensor_bus\.1\.database"):
         build_can_sensors(absent, "sensor_bus.1", Clock())
 

@@ -75,9 +75,9 @@ def test_a_number_that_nothing_describes_is_shown_as_one_and_never_mixed(codes: 
 )
 def test_a_fault_bit_names_the_register_with_its_code(names: str, said: str) -> None:
     configuration = parse(
-        bus__registers__state="{ address = 5, table = 'input', bit = 3 }",
+        bus__registers__state="{ address = 5, table = 'input', mask = 0x8 }",
         bus__registers__last=f"{{ address = 9, table = 'input'{names} }}",
-        signals__faults="[{ signal = 'state', names = { 0 = 'tripped' }, code = 'last' }]",
+        signals__fault="[{ signal = 'state', names = { 0 = 'tripped' }, code = 'last' }]",
     )
     poll = map_registers(configuration, configuration.bus, "bench.toml", passive=False)  # type: ignore[arg-type]
     assembly = PollAssembly(poll, Heartbeat())
@@ -93,20 +93,20 @@ def test_a_fault_bit_names_the_register_with_its_code(names: str, said: str) -> 
         assembly.faults.clear(reading.fault)
     assert (
         "has no register 'lost'"
-        in flaws(signals__faults="[{ signal = 'state', code = 'lost' }]")[
-            "signals.faults.code.signal"
+        in flaws(signals__fault="[{ signal = 'state', code = 'lost' }]")[
+            "signals.fault.code.signal"
         ]
     )
 
 
-@pytest.mark.parametrize("key", ["signals__fault", "signals__faults"])
+@pytest.mark.parametrize("form", ["{}", "[{}]"])
 @pytest.mark.parametrize("healthy", ["[2, 4]", "['Run', 'Ready']"])
-def test_a_state_register_has_healthy_values(key: str, healthy: str) -> None:
+def test_a_state_register_has_healthy_values(form: str, healthy: str) -> None:
     given = f"{{ signal = 'state', healthy = {healthy} }}"
     names = "{ Ready = 2, Fault = 3, Run = 4 }"
     words: dict[str, str | None] = {
         "bus__registers__state": f"{{ address = 5, table = 'input', names = {names} }}",
-        key: given if key == "signals__fault" else f"[{given}]",
+        "signals__fault": form.format(given),
     }
     configuration = parse(**words)
     poll = map_registers(configuration, configuration.bus, "bench.toml", passive=False)  # type: ignore[arg-type]
@@ -136,7 +136,7 @@ FAULTS = [{"signal": "DriveStatus.Fault", "mask": 0x6, "names": {"1": "hot", "2"
 
 
 def test_a_can_drive_has_several_words() -> None:
-    mapping = map_drive(MOTOR_BUS, motor_signals(fault=None, faults=FAULTS), TIMING)
+    mapping = map_drive(MOTOR_BUS, motor_signals(fault=FAULTS), TIMING)
     assembly = StatusAssembly(mapping)
     for status in mapping.statuses:
         found = {source.field.name: 0.0 for source in status.sources}
@@ -151,7 +151,7 @@ def test_a_can_drive_has_several_words() -> None:
 def test_a_drive_on_modbus_has_several_words() -> None:
     fault = "[{ signal = 'state', mask = 0x100, names = { 8 = 'hw_overcurrent' } }, 'power']"
     warning = "{ signal = 'state', mask = 0x01, names = { 0 = 'derating' } }"
-    configuration = parse(signals__faults=fault, signals__warning=warning)
+    configuration = parse(signals__fault=fault, signals__warning=warning)
     poll = map_registers(configuration, configuration.bus, "bench.toml", passive=False)  # type: ignore[arg-type]
     assembly = PollAssembly(poll, Heartbeat())
     assembly.begin()
@@ -162,17 +162,17 @@ def test_a_drive_on_modbus_has_several_words() -> None:
     assert reading.fault == 0x102
     assert reading.fault_name == "state bit 8 hw_overcurrent, power 2 (bit 1)"
     assert reading.warning == "state bit 0 derating"
-    assert "'speed' must be an integer" in flaws(signals__faults="['speed']")["signals.faults"]
+    assert "'speed' must be an integer" in flaws(signals__fault="['speed']")["signals.fault"]
 
 
 def test_a_node_on_canopen_has_several_words() -> None:
     warning = {"signal": "0x603F", "mask": 0x70, "names": {"4": "derating"}}
-    mapping = plan_objects({"signals/faults": ["0x2000.1"], "signals/warning": [warning]})
+    mapping = plan_objects({"signals/fault": ["0x2000.1"], "signals/warning": [warning]})
     assert mapping.faults == {
-        "faults": FaultWord("0x2000.1", -1, {}),
+        "fault": FaultWord("0x2000.1", -1, {}),
         "warning": FaultWord("0x603F", 0x70, {0x10: "derating"}, warns=True),
     }
-    assert "no object" in object_flaws({"signals/faults": ["0x2009"]})["signals.faults"]
+    assert "no object" in object_flaws({"signals/fault": ["0x2009"]})["signals.fault"]
 
 
 def test_a_fault_and_a_warning_share_a_word() -> None:

@@ -150,11 +150,11 @@ def test_messages_come_from_several_files(tmp_path: Path) -> None:
     end = text.index("\nBO_ ", start) if "\nBO_ " in text[start:] else text.index("\n\n", start)
     (tmp_path / "load.dbc").write_text(f"{head}{text[start:end]}\n")
     (tmp_path / "rest.dbc").write_text(text[:start] + text[end:])
-    bus = motor_bus(database=tmp_path / "rest.dbc", databases=[tmp_path / "load.dbc"])
+    bus = motor_bus(database=[tmp_path / "rest.dbc", tmp_path / "load.dbc"])
     whole = map_drive(bus, MOTOR.signals, TIMING)
     assert {one.codec.name for one in whole.statuses} == {"DriveStatus", "DriveLoad"}
     with pytest.raises(ConfigurationError, match="no message 'DriveLoad'"):
-        map_drive(motor_bus(database=tmp_path / "rest.dbc"), MOTOR.signals, TIMING)
+        map_drive(motor_bus(database=[tmp_path / "rest.dbc"]), MOTOR.signals, TIMING)
 
 
 def test_a_stated_range_stands_in_place_of_a_wrong_one(tmp_path: Path) -> None:
@@ -207,7 +207,7 @@ J1939 = (
 
 
 def addressed(path: Path, **frames: dict[str, int]) -> CanBus:
-    return motor_bus(database=path).model_validate(
+    return motor_bus(database=[path]).model_validate(
         {
             "type": "can",
             "interface": "virtual",

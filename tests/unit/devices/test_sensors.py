@@ -25,7 +25,7 @@ from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.safety.facts import Reading
 from adaptdrive.util.errors import RefusedError
 from tests.loopback_port import LoopbackPort
-from tests.unit.runtime.bench import CALM, FAST, SETTINGS, TICK_S, Around, MotorController
+from tests.unit.runtime.bench import CALM, FAST, MACHINE, TICK_S, Around, MotorController
 
 STALE_s = 0.5
 
@@ -60,7 +60,7 @@ class Bench:
         self.bus = SensorBus("thermo", self.sensors, STALE_s, ("hot", "cold"))
         rules = {"output": Derived(rule="difference", of=["hot", "cold"])}
         self.port = SensoredPort(self.drive, [self.bus], rules, self.around.now_s)
-        self.machine = Machine(SETTINGS.machine)
+        self.machine = Machine(MACHINE)
         settings = replace(FAST, drive_clocks=False)
         self.loop = FastLoop(self.port, MotorController(), self.machine, settings, self.around)
         self.counter = 0

@@ -14,10 +14,10 @@ import msgspec
 from adaptdrive.app.run import operator_log
 from adaptdrive.mqtt.desk import ReplyMemory
 from adaptdrive.mqtt.service import OperatorLog
-from adaptdrive.recording.journal import Log, RecordingPace
-from adaptdrive.recording.journal_files import Recalled, recall
+from adaptdrive.recording.log import Log
+from adaptdrive.recording.log_files import Recalled, recall
 from adaptdrive.recording.recorder import Recorder
-from adaptdrive.recording.records import Header, Kind
+from adaptdrive.recording.records import Header, Kind, Pace
 from adaptdrive.runtime.reports import Hub
 from tests.unit.recording.material import INFO
 
@@ -44,8 +44,8 @@ async def open_log(folder: Path, clocks: Time | None = None) -> AsyncIterator[tu
     """A log, and what it held before."""
     clocks = clocks or Time()
     recalled = recall(folder, clocks.wall)
-    header, pace = Header(INFO, ""), RecordingPace()
-    log = Log(folder, header, recalled, clocks.both, pace, on_status=lambda _: None)
+    header, pace = Header(INFO, ""), Pace()
+    log = Log(folder, header, recalled, clocks.both, pace, on_problem=lambda *_: None)
     log.start()
     yield log, recalled
     await log.close(PATIENCE_S)

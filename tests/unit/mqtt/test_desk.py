@@ -17,7 +17,7 @@ from adaptdrive.mqtt.desk import (
     OVERTAKEN,
     RETAINED,
     Desk,
-    LogRation,
+    LineRation,
     OperatorCommand,
     ReplyMemory,
 )
@@ -89,7 +89,7 @@ def open_office(memory: ReplyMemory, time: Time) -> Office:
     async def keep() -> None:
         kept.append(len(reports))
 
-    ration = LogRation(lambda: time.running_s, lines=20)
+    ration = LineRation(lambda: time.running_s, lines=20)
     desk = Desk(host, memory, lambda: host.state, lambda: time.wall, ration,
                 report=reports.append, kept=keep, shutting_down=lambda: host.ending)  # fmt: skip
     return Office(desk, host, memory, time, reports, kept)

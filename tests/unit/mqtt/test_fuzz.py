@@ -19,7 +19,7 @@ import pytest
 from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.commands import FORMS, PING
 from adaptdrive.mqtt.contract import encode
-from adaptdrive.mqtt.desk import Desk, LogRation, ReplyMemory
+from adaptdrive.mqtt.desk import Desk, LineRation, ReplyMemory
 from adaptdrive.runtime.reports import Hub, State
 from adaptdrive.runtime.requests import REQUESTS, Disable, Enable, Request, SetMode
 from adaptdrive.runtime.state_machine import Machine
@@ -134,7 +134,7 @@ def fits(verb: str, raw: bytes) -> bool:
 def desk_of(host: VirtualHost) -> Desk:
     clock: Callable[[], float] = lambda: 0.0  # noqa: E731
     memory = ReplyMemory((), lambda _identity, _body: None, clock)
-    hub, ration = Hub(), LogRation(clock, lines=0)
+    hub, ration = Hub(), LineRation(clock, lines=0)
     return Desk(host, memory, lambda: host.machine.state, lambda: NOW, ration,
                 report=hub.publish, kept=hub.kept, shutting_down=lambda: False)  # fmt: skip
 

@@ -11,10 +11,10 @@ import pytest
 
 from adaptdrive.mqtt.contract import Reply
 from adaptdrive.mqtt.desk import FORGOTTEN as UNREADABLE
-from adaptdrive.mqtt.desk import INTERRUPTED, Desk, LogRation, ReplyMemory
+from adaptdrive.mqtt.desk import INTERRUPTED, Desk, LineRation, ReplyMemory
 from adaptdrive.mqtt.publisher import Outbox
-from adaptdrive.recording.journal import Log
-from adaptdrive.recording.journal_files import EVENTS, log_files, recall
+from adaptdrive.recording.log import Log
+from adaptdrive.recording.log_files import EVENTS, log_files, recall
 from adaptdrive.recording.records import EventRow, Kind
 from adaptdrive.runtime.reports import Hub, State
 from adaptdrive.runtime.requests import Request
@@ -186,7 +186,7 @@ class DyingHost:
 
 
 def dying_desk(memory: ReplyMemory, time: Time) -> Desk:
-    hub, ration = Hub(), LogRation(lambda: time.running_s)
+    hub, ration = Hub(), LineRation(lambda: time.running_s)
     return Desk(DyingHost(), memory, lambda: None, lambda: time.wall, ration,
                 report=hub.publish, kept=hub.kept, shutting_down=lambda: False)  # fmt: skip
 

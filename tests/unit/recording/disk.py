@@ -18,10 +18,10 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.recording import recorder
-from adaptdrive.recording import writer as writing
+from adaptdrive.recording import archiver
+from adaptdrive.recording import log as log_module
 from adaptdrive.recording.archive import ERRORS, archive
-from adaptdrive.recording.writer import LogWriter, sync_for_ever
+from adaptdrive.recording.log import Log
 from adaptdrive.runtime.reports import Severity
 
 RETRY_S = 0.5
@@ -39,8 +39,8 @@ class _Queue(queue.SimpleQueue[Any]):
             raise _NothingLeftError from None
 
 
-def _passed(writer: LogWriter, act: Callable[[LogWriter], None]) -> None:
-    act(writer)
+def _passed(log: Log, act: Callable[[Log], None]) -> None:
+    act(log)
 
 
 class Disk:
@@ -48,11 +48,11 @@ class Disk:
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self._stalled = False
-        self._writers: list[LogWriter] = []
-        patch.setattr(LogWriter, "start", partialmethod(_passed, self._start))
-        patch.setattr(LogWriter, "wake", partialmethod(_passed, self._wake))
-        patch.setattr(writing, "_PAUSE_S", 0.0)
-        patch.setattr(writing, "time", SimpleNamespace(sleep=lambda _: None))
+        self._logs: list[Log] = []
+        patch.setattr(Log, "start", partialmethod(_passed, self._start))
+        patch.setattr(Log, "_wake", partialmethod(_passed, self._wake))
+        patch.setattr(log_module, "_PAUSE_S", 0.0)
+        patch.setattr(log_module, "time", SimpleNamespace(sleep=lambda _: None))
 
     @contextmanager
     def stalled(self) -> Iterator[None]:
@@ -60,25 +60,26 @@ class Disk:
         self._stalled = True
         yield
         self._stalled = False
-        for writer in tuple(self._writers):
-            self._wake(writer)
+        for log in tuple(self._logs):
+            self._wake(log)
 
-    def _start(self, writer: LogWriter) -> None:
-        self._writers.append(writer)
-        writer._wakes, writer._syncs = _Queue(), _Queue()
-        self._wake(writer)
+    def _start(self, log: Log) -> None:
+        self._logs.append(log)
+        log._loop = asyncio.get_running_loop()
+        log._wakes, log._syncs = _Queue(), _Queue()
+        self._wake(log)
 
-    def _wake(self, writer: LogWriter) -> None:
-        if self._stalled or writer not in self._writers:
+    def _wake(self, log: Log) -> None:
+        if self._stalled or log not in self._logs:
             return
-        writer._wakes.put(None)
+        log._wakes.put(None)
         with suppress(_NothingLeftError):
-            writer._write_for_ever()
-            self._writers.remove(writer)
+            log._write_for_ever()
+            self._logs.remove(log)
         with suppress(_NothingLeftError):
-            sync_for_ever(writer._syncs, writer._notify)
-        if not writer._idle:
-            asyncio.get_running_loop().call_later(RETRY_S, self._wake, writer)
+            log._sync_for_ever()
+        if not log._idle:
+            asyncio.get_running_loop().call_later(RETRY_S, self._wake, log)
 
 
 def archive_in_process(patch: pytest.MonkeyPatch) -> None:
@@ -99,5 +100,5 @@ def archive_in_process(patch: pytest.MonkeyPatch) -> None:
         done.set_result(call())
         return done
 
-    patch.setattr(recorder, "_run", run)
-    patch.setattr(recorder, "in_thread", at_once)
+    patch.setattr(archiver, "_run", run)
+    patch.setattr(archiver, "in_thread", at_once)

@@ -14,7 +14,7 @@ import msgspec
 
 from adaptdrive.control.signals import Command, Measurement, Mode, Order, Stage
 from adaptdrive.recording.archive import archive, close_segment
-from adaptdrive.recording.journal_files import Begin, LogFile, log_files, new_file
+from adaptdrive.recording.log_files import Begin, LogFile, log_files, new_file
 from adaptdrive.recording.records import (
     CommandRow,
     EventRow,
@@ -125,10 +125,10 @@ def record_messages(directory: Path, header: Header, *batches: Batch) -> Session
     info = read_info(directory)
     with TemporaryDirectory() as folder:
         file = write_log(Path(folder), header, *batches, part=info.segments + 1)
-        info = close_segment(directory, header, info, file.part, [file])
-    ended = Ending.ORDERLY if batches and batches[-1].last else Ending.CUT
-    info = msgspec.structs.replace(info, ended=ended)
-    write_info(directory, info)
+        info = close_segment(directory, info, file.part, [file])
+    if info.ended is Ending.OPEN:
+        info = msgspec.structs.replace(info, ended=Ending.CUT)
+        write_info(directory, info)
     return info
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.recording.journal_files import log_files
+from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.reader import Session, read_session, verify
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import (
@@ -228,7 +228,7 @@ def test_a_segment_that_ends_while_the_archiver_runs_stays_in_the_log(
     with first.open("rb") as held, monkeypatch.context() as daemon:
         fcntl.flock(held, fcntl.LOCK_EX)  # as its daemon does
         daemon.setattr(
-            "adaptdrive.recording.segments.prune", lambda *_: [str(place.write(10, part=2))]
+            "adaptdrive.recording.retention.prune", lambda *_: [str(place.write(10, part=2))]
         )
         archive_all(place.log)
     assert sequences(place.session) == list(range(20))

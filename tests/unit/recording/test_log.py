@@ -12,12 +12,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.recording import writer
-from adaptdrive.recording.journal import Log, RecordingPace
-from adaptdrive.recording.journal_files import is_live, log_files, recall, records
-from adaptdrive.recording.records import EventRow, Header, Kind
+from adaptdrive.recording import log as log_module
+from adaptdrive.recording.log import Log
+from adaptdrive.recording.log_files import is_live, log_files, recall, records
+from adaptdrive.recording.records import EventRow, Header, Kind, Pace
 from adaptdrive.recording.session import Dropped
-from adaptdrive.recording.writer import LogStatus, LogWriter
 from tests.unit.recording.disk import Disk
 from tests.unit.recording.material import INFO
 from tests.virtual_time import held
@@ -30,7 +29,8 @@ class Bench:
 
     def __init__(self, folder: Path, backlog_bytes: int = 1 << 20, segment_s: float = 3600) -> None:
         self.folder = folder
-        self.outcomes: list[LogStatus] = []
+        self.told: list[tuple[str, str]] = []
+        self.segments: list[int] = []
         header = Header(INFO, "", segment_s=segment_s)
         self.now_s = 100.0
         self.log = Log(
@@ -38,8 +38,9 @@ class Bench:
             header,
             recall(folder, INFO.started),
             lambda: (self.now_s, 1.7e9),
-            RecordingPace(backlog_bytes=backlog_bytes),
-            on_status=self.outcomes.append,
+            Pace(backlog_bytes=backlog_bytes),
+            on_problem=lambda *told: self.told.append(told),
+            on_segment=self.segments.append,
         )
         self.log.start()
         self.log.let_rows_in()
@@ -53,7 +54,7 @@ class Bench:
 
     async def problems(self) -> str:
         await asyncio.sleep(0)
-        return "; ".join(text for one in self.outcomes for text in one.problems.values())
+        return "; ".join(why for _, why in self.told)
 
     def events(self) -> list[int]:
         found = records(log_files(self.folder))
@@ -98,7 +99,7 @@ async def test_whoever_waits_goes_on_when_the_disk_keeps_what_was_appended(
     assert not waiting.done()
     answers.set()
     await waiting
-    assert bench.log._synced == 1
+    assert bench.log._notes_synced == 1
     assert await held(bench.log.close)(PATIENCE_S)
 
 
@@ -158,19 +159,19 @@ async def test_a_full_disk_takes_events_into_its_reserve_and_ticks_wait(
     bench.ticks(0)
     kept = folder / ".reserve"
     assert kept.exists()
-    write = LogWriter._write
+    write = Log._write
 
-    def refuse(writer: LogWriter, content: bytes) -> None:
+    def refuse(log: Log, content: bytes) -> None:
         if kept.exists():
             raise OSError(errno.ENOSPC, "No space left on device")
-        write(writer, content)
+        write(log, content)
 
     def no_room(_: Path) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(LogWriter, "_write", refuse)
-        patch.setattr(writer, "set_aside", no_room)
+        patch.setattr(Log, "_write", refuse)
+        patch.setattr(log_module, "set_aside", no_room)
         bench.ticks(1)
         assert "No space left" in await bench.problems()
         assert bench.log.failing
@@ -179,10 +180,11 @@ async def test_a_full_disk_takes_events_into_its_reserve_and_ticks_wait(
         assert not kept.exists()
         bench.ticks(2)
         assert len(bench.written()) == 1
-    assert await bench.log.close(PATIENCE_S)
+    bench.ticks(3)
     assert kept.exists()
+    assert len(bench.written()) == 4
+    assert await bench.log.close(PATIENCE_S)
     assert not bench.log.failing
-    assert len(bench.written()) == 3
 
 
 @pytest.mark.parametrize("undone", [True, False])
@@ -214,7 +216,7 @@ async def test_a_write_that_is_cut_short_loses_and_repeats_nothing_whether_or_no
 async def test_a_file_that_is_long_enough_is_followed_by_one_that_knows_what_it_left(
     folder: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(writer, "_LARGEST_FILE_BYTES", 2000)
+    monkeypatch.setattr(log_module, "_LARGEST_FILE_BYTES", 2000)
     bench = Bench(folder)
     for number in range(100):
         bench.event(number)
@@ -236,7 +238,8 @@ async def test_a_segment_of_the_session_begins_in_a_file_of_its_own(
     bench.event(3)
     assert await bench.log.close(PATIENCE_S)
     assert [file.part for file in log_files(folder)] == [1, 2, 3]
-    assert [one.part for one in bench.outcomes if one.part] == [1, 2, 3]
+    await asyncio.sleep(0)
+    assert bench.segments == [1, 2, 3]
 
 
 async def test_a_log_is_live_while_its_daemon_is(folder: Path, disk: Disk) -> None:

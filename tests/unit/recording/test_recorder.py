@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import os
 import resource
 import subprocess
@@ -16,13 +17,13 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.recording import log as log_module
 from adaptdrive.recording.archive import archive
-from adaptdrive.recording.journal import RecordingPace
-from adaptdrive.recording.journal_files import log_files
+from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.reader import Session, read_session, session_notes, verify
 from adaptdrive.recording.recorder import EVENT_KIND, Recorder
-from adaptdrive.recording.records import Header, Keep
-from adaptdrive.recording.segments import prune
+from adaptdrive.recording.records import Header, Keep, Pace
+from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import Dropped, Ending, session_directories
 from adaptdrive.runtime.reports import CommandReport, Event, Hub, Severity
 from tests.unit.recording.disk import Disk, archive_in_process
@@ -48,7 +49,7 @@ class Bench:
         self.sessions = sessions
         self.published = 0
         self.told = self.hub.subscribe(Event, size=100)
-        pace = RecordingPace(flush_s=flush_s, backlog_bytes=backlog_bytes, trip_s=0.5)
+        pace = Pace(flush_s=flush_s, backlog_bytes=backlog_bytes, trip_s=0.5)
         header = Header(INFO, "# as configured\n")
         self.recorder = Recorder(log_of(sessions), sessions, header, self.hub, clock, pace)
         self.running: asyncio.Task[None] | None = None
@@ -239,6 +240,28 @@ async def test_a_full_disk_stops_recording_which_resumes(sessions: Path) -> None
     assert "File too large" in first.detail
     assert isinstance(last, Event)
     assert "recording continues" in last.detail
+
+
+async def test_a_stop_on_a_disk_without_room_writes_what_waits_and_archives_it(
+    sessions: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is left of the disk is for the end: the reserve, or less than its size."""
+
+    def no_room(_: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    async with recording(sessions) as bench:
+        await bench.publish(200)
+        monkeypatch.setattr(log_module, "set_aside", no_room)
+        await bench.publish(500)
+        assert bench.recorder.failing
+        assert len(sequences(bench.session())) < bench.published
+    read = bench.session()
+    assert bench.recorder.complete
+    assert read.info.ended is Ending.ORDERLY
+    assert sequences(read) == list(range(bench.published))
+    assert verify(read).whole
+    assert (bench.directory / "ticks-0001.parquet").exists()
 
 
 async def test_nothing_is_made_before_it_may_begin(

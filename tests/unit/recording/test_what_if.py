@@ -24,14 +24,14 @@ def test_settings_keep_their_types() -> None:
     changed = what_if(
         "estimator.forgetting=0.95",
         "load.samples = 30",
-        "voltage_loop.feed_forward=false",
+        "mqtt.tls=true",
         "load.design=paper",
         'drive.name="other"',
         "interlocks.output_max=9",
     )
     assert changed.estimator.forgetting == 0.95
     assert changed.load.samples == 30
-    assert changed.voltage_loop.feed_forward is False
+    assert changed.mqtt.tls is True
     assert changed.load.design == "paper"
     assert changed.drive.name == "other"
     assert changed.interlocks.output_max == 9.0

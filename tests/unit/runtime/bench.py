@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, fast_settings, machine_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import (
@@ -28,7 +28,7 @@ from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.reports import Hub, State, TickReport
 from adaptdrive.runtime.requests import Enable, Request
-from adaptdrive.runtime.settings import DaemonSettings, FastLoopSettings
+from adaptdrive.runtime.settings import FastLoopSettings, MachineLimits
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.safety.facts import Reading
@@ -36,8 +36,8 @@ from adaptdrive.safety.trips import Trip
 from tests.loopback_port import LoopbackPort
 
 MOTOR = load_configuration(Path(__file__).parents[3] / "deploy" / "examples" / "motor.toml")
-SETTINGS: DaemonSettings = daemon_settings(MOTOR)
-FAST: FastLoopSettings = replace(SETTINGS.fast, charges_capacitor=False)  # v_bst is scripted
+MACHINE: MachineLimits = machine_limits(MOTOR)
+FAST: FastLoopSettings = replace(fast_settings(MOTOR), charges_capacitor=False)  # v_bst is scripted
 TICK_S = FAST.timing.half_cycle_s
 Q = MOTOR.ticks_per_period
 LATENCY = FAST.latency_ticks
@@ -157,7 +157,7 @@ class FastBench:
         self.port = LoopbackPort(
             self._command, counter_modulus=modulus, timing=settings.timing, slack_s=slack_s
         )
-        self.machine = Machine(SETTINGS.machine)
+        self.machine = Machine(MACHINE)
         self.controller = MotorController()
         self.loop = FastLoop(self.port, self.controller, self.machine, settings, self.around)
         self.unsendable: Callable[[Command], bool] = lambda _: False
@@ -351,7 +351,9 @@ def idle_daemon(
     daemon = Daemon(
         port=LoopbackPort(lambda _: None),
         controller=controller or MotorController(),
-        settings=SETTINGS,
+        configuration=MOTOR,
+        machine=MACHINE,
+        fast=FAST,
         clock=clock,
         hub=Hub(),
         manager=ServiceManager({}),

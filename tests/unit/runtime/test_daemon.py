@@ -11,6 +11,8 @@ from itertools import count, pairwise
 
 import pytest
 
+from adaptdrive.app.settings import fast_settings
+from adaptdrive.config import Configuration
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Measurement, Mode, Order
 from adaptdrive.devices.port import Listener
 from adaptdrive.runtime.daemon import Daemon
@@ -34,24 +36,34 @@ from adaptdrive.runtime.requests import (
     SetPole,
     SetSetpoint,
 )
-from adaptdrive.runtime.settings import DaemonSettings
 from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.util.clock import uncaught_errors_end
 from adaptdrive.util.errors import BusError, RefusedError
 from tests.loopback_port import LoopbackPort
 from tests.support import a_trip
-from tests.unit.runtime.bench import CALM, SETTINGS, LoopTimer, MotorController, Q, until
+from tests.unit.runtime.bench import (
+    CALM,
+    FAST,
+    MACHINE,
+    MOTOR,
+    LoopTimer,
+    MotorController,
+    Q,
+    until,
+)
 
 # Frames are delivered by hand, as fast as they go: neither timer nor age may interfere.
 PATIENT = replace(
-    SETTINGS,
-    report_s=0.02,
-    fast=replace(
-        SETTINGS.fast,
-        drive_clocks=False,
-        timing=replace(SETTINGS.fast.timing, stale_s=1e6),
-    ),
+    fast_settings(MOTOR), drive_clocks=False, timing=replace(FAST.timing, stale_s=1e6)
 )
+
+
+def telling(report_s: float) -> Configuration:
+    """The motor, whose daemon reports so often."""
+    mqtt = MOTOR.mqtt.model_copy(update={"telemetry_Hz": 1.0 / report_s})
+    return MOTOR.model_copy(update={"mqtt": mqtt})
+
+
 OUTSIDE = "the shared supply is lost"
 
 READS = count()
@@ -92,9 +104,7 @@ class FailingPort(LoopbackPort):
 class DaemonBench:
     """A daemon and the drive behind it."""
 
-    def __init__(
-        self, manager: ServiceManager | None = None, settings: DaemonSettings = PATIENT
-    ) -> None:
+    def __init__(self, manager: ServiceManager | None = None, report_s: float = 0.02) -> None:
         self.sent: list[Command] = []
         self.port = FailingPort(self.sent.append)
         self.controller = MotorController()
@@ -105,7 +115,9 @@ class DaemonBench:
         self.daemon = Daemon(
             port=self.port,
             controller=self.controller,
-            settings=settings,
+            configuration=telling(report_s),
+            machine=MACHINE,
+            fast=PATIENT,
             clock=now_s,
             hub=self.hub,
             manager=manager or ServiceManager({}),
@@ -172,9 +184,9 @@ class DaemonBench:
 
 @contextlib.asynccontextmanager
 async def daemon_bench(
-    manager: ServiceManager | None = None, settings: DaemonSettings = PATIENT
+    manager: ServiceManager | None = None, report_s: float = 0.02
 ) -> AsyncIterator[DaemonBench]:
-    bench = DaemonBench(manager, settings)
+    bench = DaemonBench(manager, report_s)
     try:
         await until(lambda: bench.port._up)
         yield bench
@@ -314,7 +326,7 @@ async def test_a_trip_while_the_file_is_read_again_stays_and_ends_the_reload() -
 
 
 async def test_the_confirmation_of_a_stop_is_reported_when_the_drive_gives_it() -> None:
-    async with daemon_bench(settings=replace(PATIENT, report_s=1e6)) as bench:
+    async with daemon_bench(report_s=1e6) as bench:
         bench.frames(3)
         assert bench.states[-1].stop is StopWord.CONFIRMED
         await bench.start()

@@ -30,6 +30,10 @@ from adaptdrive.util.errors import RefusedError
 from tests.support import a_trip, text_of
 
 LOAD = MotorSection(
+    period_s=1.0,
+    pole=0.7,
+    output_name="speed",
+    output_unit="V",
     type="motor",
     reference_max=4.5,
     model=MotorModel(gain=0.011, tau_motor_s=11.7, tau_filter_s=10.0),
@@ -173,37 +177,6 @@ def test_a_set_point_in_force_that_goes_out_of_reach_is_named() -> None:
     desk.machine.reach = Reach(2.0, 4.0)
     assert desk.machine.obstacle == "set-point 4.3 V is outside 2…4 V, which V_c can hold"
     assert desk.machine.stage is Stage.RUN
-
-
-@pytest.fixture
-def governed() -> Desk:
-    desk = Desk(reach=REACH, load=LOAD.model_copy(update={"govern": True}))
-    desk.ask(Enable(), output=3.0)
-    desk.pass_ticks(2)
-    return desk
-
-
-@pytest.mark.parametrize(("asked", "followed"), [(0.1, 2.2), (2.2, 2.2), (3.0, 3.0), (4.5, 4.4)])
-def test_a_governed_set_point_is_the_nearest_one_within_reach(
-    governed: Desk, asked: float, followed: float
-) -> None:
-    governed.ask(SetSetpoint(asked))
-    assert governed.machine.setpoint == asked
-    assert governed.machine.reference(governed.tick) == followed
-    said = "governed: V_c can hold 2.2…4.4 V" in governed.machine.obstacle
-    assert said == (asked != followed)
-
-
-def test_the_ends_of_a_governed_waveform_are_cut_off(governed: Desk) -> None:
-    governed.refuses(SetSetpoint(4.6), "setpoint = 4.6 V is outside 0…4.5 V")
-    governed.ask(SetWaveform(Waveform(Shape.TRIANGLE, 0.5, 4.5, 60.0)))
-    assert "governed" in governed.machine.obstacle
-    course = [governed.machine.reference(governed.tick + n) for n in range(7200)]
-    assert (min(course), max(course)) == (2.2, 4.4)
-    assert len(set(course)) > 1000
-    governed.machine.reach = UNKNOWN
-    assert governed.machine.reference(governed.tick + 900) not in {2.2, 4.4}
-    assert not governed.machine.obstacle
 
 
 def test_starting_that_takes_too_long_trips(starting: Desk) -> None:

@@ -33,8 +33,8 @@ SLEW_V = 0.5
 """Of V_c in one tick."""
 
 
-def running(output: float = 3.0, *, govern: bool = False) -> Desk:
-    desk = Desk(reach=REACH, load=LOAD.model_copy(update={"govern": govern}))
+def running(output: float = 3.0) -> Desk:
+    desk = Desk(reach=REACH)
     desk.ask(Enable(), output)
     desk.pass_ticks(2)
     return desk
@@ -83,17 +83,6 @@ def test_the_time_until_the_next_voltage_begins_with_the_run() -> None:
         desk.pass_ticks(ticks)
         seen.append(desk.machine.state)
     assert seen == [State.STARTING, State.RUNNING, State.TRIPPED]
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "governed"), [(3.0, 4.0, False), (2.0, 4.0, True), (3.0, 4.45, True)]
-)
-def test_a_governed_waveform_is_named_when_either_end_is_out_of_reach(
-    low: float, high: float, *, governed: bool
-) -> None:
-    desk = running(govern=True)
-    desk.ask(SetWaveform(Waveform(Shape.SQUARE, low, high, 60.0)))
-    assert desk.machine.obstacle.startswith("set-point is governed") is governed
 
 
 def test_a_trip_of_a_drive_that_is_off_is_reset_into_standby_unless_in_doubt() -> None:
@@ -233,7 +222,7 @@ def test_an_operator_who_is_lost_trips_the_drive_when_the_time_is_over(
     assert text_of(desk.machine.trip) == (told if trips else None)
 
 
-def test_without_governing_a_set_point_stays_as_it_was_asked_for() -> None:
+def test_a_set_point_that_goes_out_of_reach_stays_as_it_was_asked_for() -> None:
     desk = running(output=4.3)
     desk.machine.reach = Reach(2.0, 4.0)
     assert desk.machine.reference(desk.tick) == 4.3
@@ -266,7 +255,6 @@ WITHIN: dict[str, Check] = {
     "highest set-point": lambda: LIMITS.require_reference("setpoint", 4.5),
     "lowest in reach": lambda: LIMITS.require_reach("setpoint", 2.25, NARROW),
     "highest in reach": lambda: LIMITS.require_reach("setpoint", 4.25, NARROW),
-    "governed": lambda: loaded(govern=True).require_reach("setpoint", 9.0, NARROW),
     "shortest period": lambda: LIMITS.require_period("period_s", 4.0),
     "fastest pole": lambda: LIMITS.require_pole(0.5),
     "slowest pole": lambda: LIMITS.require_pole(0.98),

@@ -27,7 +27,7 @@ from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.runtime.tick_support import ServiceManager
 from adaptdrive.safety.trips import Trip, TripKind
 from tests.unit.runtime.bench import (
-    SETTINGS,
+    MACHINE,
     MotorController,
     decision,
     idle_daemon,
@@ -65,7 +65,7 @@ def delivered() -> Decided:
 @pytest.fixture
 def slow(delivered: Decided) -> Daemon:
     fast = SimpleNamespace(deliver=lambda *pair: delivered.append(pair))
-    machine = Machine(SETTINGS.machine)
+    machine = Machine(MACHINE)
     return idle_daemon(machine, cast(FastLoop, fast), lambda: 0.0, Decider())
 
 
@@ -165,7 +165,7 @@ def test_it_says_what_is_awaited(
 def test_it_says_that_recording_has_failed(recorded: bool, rest: str) -> None:
     shown: list[str] = []
     fast = SimpleNamespace(stopping=SimpleNamespace(status=StopWord.AWAITED), cause=None)
-    manager, machine = SimpleNamespace(status=shown.append), Machine(SETTINGS.machine)
+    manager, machine = SimpleNamespace(status=shown.append), Machine(MACHINE)
     announcer = Announcer(
         machine, cast(FastLoop, fast), Hub(), cast(ServiceManager, manager), lambda: recorded
     )

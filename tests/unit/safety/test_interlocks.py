@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.app.settings import daemon_settings
+from adaptdrive.app.settings import fast_settings
 from adaptdrive.config import load_configuration
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.interlocks import Limits, find_cause
@@ -109,7 +109,7 @@ def test_without_a_cause_everything_is_fresh_finite_healthy_and_within_limits(
 
 @pytest.mark.parametrize(("example", "text"), [("bath", "temperature = 99 K, limit 25 K")])
 def test_the_trip_names_the_output_as_the_configuration_does(example: str, text: str) -> None:
-    limits = daemon_settings(load_configuration(EXAMPLES / f"{example}.toml")).fast.limits
+    limits = fast_settings(load_configuration(EXAMPLES / f"{example}.toml")).limits
     cause = find_cause(replace(GOOD, output=99.0), NOW_S, limits, STALE_S)
     assert cause is not None
     assert text in str(cause)
@@ -117,7 +117,7 @@ def test_the_trip_names_the_output_as_the_configuration_does(example: str, text:
 
 @pytest.mark.parametrize(("example", "lowest"), [("motor", -1.125), ("bath", -3.625)])
 def test_without_a_limit_below_a_quarter_of_the_range_is_one(example: str, lowest: float) -> None:
-    limits = daemon_settings(load_configuration(EXAMPLES / f"{example}.toml")).fast.limits
+    limits = fast_settings(load_configuration(EXAMPLES / f"{example}.toml")).limits
     assert limits.output_min == pytest.approx(lowest)
 
 

@@ -15,9 +15,9 @@ from adaptdrive.control.loads.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive_sim.campaign.batteries import ideal_current
-from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Row, deploy
-from adaptdrive_sim.campaign.stands import BathScenario, BathStand, Life, Scenario, Stand, at_rest
-from adaptdrive_sim.course import Course
+from adaptdrive_sim.campaign.drawn import Deployed, Drawn, DrawnRun, Row, at_rest, deploy
+from adaptdrive_sim.campaign.stands import BathScenario, BathStand, Life, Scenario, Stand
+from adaptdrive_sim.course import NO_TRIPS, Course
 from adaptdrive_sim.parameters import example_tables
 from adaptdrive_sim.plants.bath import BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
@@ -318,11 +318,16 @@ class ChargingStand(DrawnRun):
     size_name, largest_movement = "series", 2.0
 
     def __init__(self, scenario: Charge) -> None:
-        super().__init__(_charger(), scenario, 0.0, scenario.reference.high)
+        super().__init__(_charger(), scenario, scenario.reference.high)
         self.scenario = scenario
-        self.references = np.array([scenario.reference.value(t) for t in self.times_s.tolist()])
-        self.later = self.times_s >= 600.0
-        self.sizes = np.where(self.later, scenario.series[-1], scenario.series[0])
+        later = self.times_s >= 600.0
+        self.sizes = np.where(later, scenario.series[-1], scenario.series[0])
+        self.plan = Course(
+            references=scenario.references_at(self.times_s),
+            sizes=self.sizes,
+            disturbances=scenario.disturbances(self.ticks + 1),
+            burdens=np.where(later, float(scenario.shorted), 0.0),
+        )
         changes = len(scenario.series) > 1 or scenario.shorted > 0
         self.change_times_s = (600.0,) if changes else ()
 
@@ -332,11 +337,7 @@ class ChargingStand(DrawnRun):
 
     def course(self, mode: Mode) -> Course:
         """Return what happens in the run."""
-        count = self.times_s.size * self.own.settings.rates.ticks_per_period + 1
-        noise = self.scenario.disturbances(count)
-        shorted = np.where(self.later, float(self.scenario.shorted), 0.0)
-        pole = self.own.pole
-        return Course(self.references, self.sizes, 0.0, noise, mode, pole, burdens=shorted)
+        return replace(super().course(mode), trips=NO_TRIPS)
 
     def _battery(self, series: float) -> Battery:
         nominal = BatteryParameters()
@@ -361,7 +362,7 @@ class ChargingStand(DrawnRun):
     @cached_property
     def ideal(self) -> Array:
         """Return what is asked for."""
-        return ideal_current(self.references, self.own.pole)
+        return ideal_current(self.plan.references, self.own.pole)
 
 
 def _charge_case(name: str, title: str, begin_s: float = 1080.0, **values: Any) -> Case:

@@ -70,7 +70,8 @@ class _HeldSite(Site):
 
     def __init__(self, site: Site, decide: Decide) -> None:
         super().__init__(site.controller, site.world, site.wire)
-        self._schedule = Schedule(_FastHalf(site.controller, decide), self._rates.latency_ticks)
+        latency_ticks = site.controller.settings.rates.latency_ticks
+        self._schedule = Schedule(_FastHalf(site.controller, decide), latency_ticks)
 
     def note(self, run: Run, k: int) -> Decision:
         """Fill the columns of a slow period that are known."""

@@ -51,7 +51,7 @@ def _responses(axes: Axes) -> None:
     stand = CASES["B"].stand(0)
     shown = (stand.times_s >= FROM_s) & (stand.times_s < TO_s)
     time_s = stand.times_s[shown] - FROM_s
-    axes.step(time_s, stand.references[shown], where="post", **figures.REFERENCE)
+    axes.step(time_s, stand.plan.references[shown], where="post", **figures.REFERENCE)
     for place, name in enumerate(SHOWN):
         output = run_of(CASES["B"].stand(0), name)["output"][shown]
         look = _look(name) | {"linestyle": LOOKS[name][3], "linewidth": 1.2}

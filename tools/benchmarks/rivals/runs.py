@@ -64,8 +64,7 @@ def task_of(stand: DrawnRun) -> Task:
     rates, stage, load = own.settings.rates, own.settings.stage, own.load
     tick_s = own.period_s / rates.ticks_per_period
     limits_V = stage.boost_reference_min_V, stage.boost_reference_max_V
-    wire = stand.site().wire
-    rounding = 0.0 if wire is None else wire.output_quantum / math.sqrt(12.0)
+    rounding = stand.site().wire.output_quantum / math.sqrt(12.0)
     spread = float(np.std(course.disturbances[1:4000])) / math.sqrt(rates.samples)
     low, high, rest = (
         to_input(one, load.input_gain, load.input_exponent)
@@ -109,9 +108,9 @@ def run_of(stand: DrawnRun, controller: str) -> Run:
 def figures(case: Case, seed: int, controller: str) -> Figures:
     """Run a controller once, and judge it."""
     stand = case.stand(seed)
-    run, references = run_of(stand, controller), stand.references
+    run, references = run_of(stand, controller), stand.plan.references
     judged = (stand.times_s >= case.begin_s) & (stand.times_s < case.end_s)
-    output = run["output"] + stand.offset
+    output = run["output"] + stand.plan.offset
     errors = 100.0 * (output - stand.ideal)[judged] / case.unit
     beyond = np.maximum(output - references.max(), references.min() - output)[judged]
     adaptive = controller == "adaptive"

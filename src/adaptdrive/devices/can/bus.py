@@ -159,7 +159,7 @@ _IFNAMSIZ = 16
 _REQUEST = 0x18EA0000
 """Id of a request of J1939, of priority 6, without its addresses (SAE J1939-21, PGN 59904)."""
 
-_EVERYBODY, _NOBODY = 0xFF, 0xFE
+_EVERYBODY, _NOBODY, _SERVICE_TOOL = 0xFF, 0xFE, 0xF9
 """The global address of J1939, and that of a sender without one."""
 
 _INTERFACES = Path("/sys/class/net")
@@ -220,18 +220,19 @@ def requests(bus: CanDescription, codecs: Iterable[MessageCodec]) -> list[can.Me
         codecs: Messages that are read.
     """
     return [
-        _request(one, bus.own_address, remote=bus.polled[one.name] == "rtr")
+        _request(one, remote=bus.polled[one.name] == "rtr")
         for one in codecs
         if one.name in bus.polled
     ]
 
 
-def _request(codec: MessageCodec, own: int, *, remote: bool) -> can.Message:
+def _request(codec: MessageCodec, *, remote: bool) -> can.Message:
     """Return a remote frame, or a request of J1939 from the address that the reply goes to."""
     if remote:
         frame = codec.frame(b"")
         frame.is_remote_frame, frame.dlc = True, codec.length
         return frame
+    own = _SERVICE_TOOL
     group, sender = codec.frame_id >> 8 & 0x3FFFF, codec.frame_id & 0xFF
     if group & 0xFF00 < 0xF000:  # its last byte is the receiver
         group, receiver = group & ~0xFF, group & 0xFF

@@ -17,7 +17,13 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.devices.can import layout
-from adaptdrive.devices.can.integrity import AliveCounter, FrameVerdict, checksum_function, covered
+from adaptdrive.devices.can.integrity import (
+    MAX_JUMP,
+    AliveCounter,
+    FrameVerdict,
+    checksum_function,
+    covered,
+)
 from adaptdrive.devices.field import Raw
 
 _UNPROTECTED = FrameIntegrity()
@@ -88,15 +94,16 @@ class MessageCodec:
         modulus = layout.counter_modulus(self._fields[self._counter]) if self._counter else 1
         self._modulus = modulus
         self._next = 0
-        self._alive = AliveCounter(modulus, integrity.max_jump, cycle_s)
+        self._alive = AliveCounter(modulus, min(MAX_JUMP, modulus - 1), cycle_s)
         self._data = b""
-        self._checksum = checksum_function(integrity)
         checksum = integrity.checksum
         self._span = layout.checksum_span(message, checksum) if checksum else None
         if self._span is not None:
+            self._checksum = checksum_function(integrity, 8 * (self._span[1] - self._span[0]))
             self._covered = covered(integrity, self._span)
         self._proofs = {integrity.counter, integrity.checksum, integrity.nibble}
-        self._fixed = {integrity.nibble: integrity.data_id >> 8 & 0xF} if integrity.nibble else {}
+        data_id = integrity.data_id or 0
+        self._fixed = {integrity.nibble: data_id >> 8 & 0xF} if integrity.nibble else {}
         seen = [integrity.counter] if layout.follows_counter(integrity) else []
         seen += [integrity.nibble]
         self._seen = _unpacker(message, filter(None, seen)) if any(seen) else None
@@ -136,18 +143,13 @@ class MessageCodec:
         self._next = (counter + 1) % self._modulus
         return data
 
-    def frame(self, data: bytes, *, bitrate_switch: bool = False) -> can.Message:
-        """The frame with some bytes.
-
-        Args:
-            data: The bytes.
-            bitrate_switch: Whether a frame of CAN FD carries them at the higher bit rate.
-        """
+    def frame(self, data: bytes) -> can.Message:
+        """The frame with some bytes; one of CAN FD carries them at the higher bit rate."""
         return can.Message(
             arbitration_id=self.frame_id,
             is_extended_id=self.is_extended,
             is_fd=self.is_fd,
-            bitrate_switch=self.is_fd and bitrate_switch,
+            bitrate_switch=self.is_fd,
             data=data,
         )
 

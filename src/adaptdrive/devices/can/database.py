@@ -12,12 +12,11 @@ from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import CanDescription, FrameAddress, FrameIntegrity
+from adaptdrive.config.bus import CanDescription, Crc, FrameAddress, FrameIntegrity
 from adaptdrive.config.section import Range
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.can import codec, layout
 from adaptdrive.devices.can.bus import channel_flaws
-from adaptdrive.devices.can.integrity import CHECK_INPUT, crc_function
 from adaptdrive.devices.field import Field
 from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
 
@@ -69,7 +68,7 @@ def describe(
     Raises:
         ConfigurationError: A file cannot be read, or a message has no such id.
     """
-    files = [read_dbc(path, source, place) for path in (bus.database, *bus.databases)]
+    files = [read_dbc(path, source, place) for path in bus.database]
     messages = [message for database, _ in files for message in database.messages]
     flaws = [
         *_addressed(messages, bus.frames, f"{place}.frames"),
@@ -257,18 +256,12 @@ class SignalCatalogue(binding.Catalogue[Located]):
         message = self.message(name, place)
         if message is None:
             return
-        wanted = {"counter": integrity.counter, "checksum": integrity.checksum}
-        if integrity.data_id_mode == "nibble":
-            wanted["nibble"] = integrity.nibble
-        for key, proof in wanted.items():
+        for key in ("counter", "checksum", "nibble"):
+            proof = getattr(integrity, key)
             item = self.find(f"{name}.{proof}", f"{place}.{key}") if proof else None
             if item is None:
                 continue
             self.note(f"{place}.{key}", self._proof_problem(key, item, integrity))
-            modulus = layout.counter_modulus(layout.compile_field(item.signal))
-            jump = integrity.max_jump
-            if key == "counter" and jump >= modulus:
-                self.note(f"{place}.max_jump", f"{jump} must be below its {modulus} values")
         for key, problem in _form_flaws(message, integrity):
             self.note(f"{place}{key}", problem)
 
@@ -278,10 +271,10 @@ class SignalCatalogue(binding.Catalogue[Located]):
         if key == "counter":
             return self.count_problem(item)
         if key == "checksum":
-            bits = integrity.crc.width if integrity.crc else 8
             span = layout.checksum_span(message, signal.name)
-            fits = span and 8 * (span[1] - span[0]) == bits and not signal.multiplexer_ids
-            size = {8: "one whole byte", 16: "two whole bytes", 32: "four whole bytes"}[bits]
+            widths = (8, 16, 32) if integrity.crc else (8,)
+            fits = span and signal.length in widths and not signal.multiplexer_ids
+            size = "one, two or four whole bytes" if integrity.crc else "one whole byte"
             return None if fits else f"signal {signal.name!r} must fill {size} of every frame"
         fits = signal.length == _NIBBLE_BITS and _is_count(signal)
         return None if fits else f"signal {signal.name!r} must be four bits of every frame"
@@ -308,29 +301,32 @@ def open_catalogue(bus: CanDescription, source: Path | str, place: str = "bus") 
 
 def _form_flaws(message: Message, integrity: FrameIntegrity) -> Iterator[tuple[str, str]]:
     """Yield the keys below `[bus.integrity.NAME]` that do not fit each other, and why."""
-    crc, mode, algorithm = integrity.crc, integrity.data_id_mode, integrity.algorithm
-    has_data_id = mode != "both" or integrity.nibble or integrity.data_id
+    crc, has_mode = integrity.crc, integrity.data_id_mode != "both"
     if integrity.counter and integrity.counter == integrity.checksum:
         yield "", f"{integrity.counter!r} cannot be both counter and checksum"
-    if algorithm != "autosar-p01" and has_data_id:
-        yield ".algorithm", f"{algorithm!r} has no data id; 'autosar-p01' has one"
+    if integrity.data_id is None and (has_mode or integrity.nibble):
+        yield ".data_id", "is missing: data_id_mode and nibble need it"
+    if has_mode and integrity.nibble:
+        yield ".nibble", "needs the mode of its own: leave data_id_mode out"
     if layout.follows_counter(integrity) and not integrity.counter:
         yield ".counter", "is missing: the data id of the checksum follows it"
-    if (mode == "nibble") != (integrity.nibble is not None):
-        yield ".nibble", "is what data_id_mode = 'nibble' needs, and no other mode"
-    if (algorithm == "crc") != (crc is not None):
-        yield ".crc", "is what algorithm = 'crc' needs, and no other"
-    if crc is None:
-        return
+    if crc is not None:
+        yield from _crc_flaws(message, integrity, crc)
+
+
+def _crc_flaws(message: Message, integrity: FrameIntegrity, crc: Crc) -> Iterator[tuple[str, str]]:
+    """Yield the keys that do not fit a checksum by its parameters, and why."""
+    if integrity.data_id is not None:
+        yield ".data_id", "is that of profile 1, and the form is `crc`: leave one out"
     if not integrity.checksum:
         yield ".checksum", "is missing: the signal that holds the `crc`"
+    bits = next((one.length for one in message.signals if one.name == integrity.checksum), 32)
+    for name in ("poly", "init", "xorout"):
+        if (value := getattr(crc, name)) >> bits:
+            yield f".crc.{name}", f"{value:#x} has more than the {bits} bits of the signal"
     if missing := [at for at in crc.covers or () if at >= message.length]:
         length = f"message {message.name!r} has {message.length} bytes, from 0"
         yield ".crc.covers", f"{missing}: {length}"
-    found = crc_function(crc)(CHECK_INPUT)
-    if crc.check is not None and crc.check != found:
-        problem = f"{crc.check:#x} is not what these parameters give, {found:#x}"
-        yield ".crc.check", f"{problem}: one of them is copied wrongly"
 
 
 def _place_remarks(

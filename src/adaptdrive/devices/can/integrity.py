@@ -3,14 +3,15 @@
 crccheck works bit by bit and takes 5 to 9 µs for 7 bytes and 45 to 54 µs for 63; these tables take
 0.5 to 0.7 µs and 3 to 7 µs. The tests compare both over crccheck's whole catalogue.
 
-Two checksums have names. Both use the polynomial x⁸+x⁴+x³+x²+1 (0x1D), most significant bit first,
-over every byte of the frame but the one that holds the checksum:
+Two checksums need no parameters. Both use the polynomial x⁸+x⁴+x³+x²+1 (0x1D), most significant bit
+first, over every byte of the frame but the one that holds the checksum:
 
-* `sae-j1850`: start value 0xFF, final XOR 0xFF.
-* `autosar-p01`: end-to-end profile 1: start value 0, no final XOR, over the data id and then the
-  frame. Of the data id come its low byte and its high byte (`both`), its low byte alone (`low`),
-  its low byte with an even and its high byte with an odd alive counter (`alternating`), or its low
-  byte and a zero, while the lower half of its high byte travels in the frame (`nibble`).
+* SAE J1850: start value 0xFF, final XOR 0xFF.
+* AUTOSAR end-to-end profile 1, where there is a `data_id`: start value 0, no final XOR, over the
+  data id and then the frame. Of the data id come its low byte and its high byte (`both`), its low
+  byte alone (`low`), its low byte with an even and its high byte with an odd alive counter
+  (`alternating`), or its low byte and a zero, while the lower half of its high byte travels in the
+  frame (`nibble`).
 
 Every other one is described by its parameters (`crc`).
 
@@ -31,28 +32,25 @@ from adaptdrive.config.bus import Crc, FrameIntegrity
 
 # Cyclic redundancy checks by the parameters under which catalogues list them.
 
-CHECK_INPUT = b"123456789"
-"""Input of the check value that a catalogue gives for each form."""
 
-
-def crc_function(form: Crc, before: bytes = b"") -> Callable[[bytes], int]:
+def crc_function(form: Crc, width: int, before: bytes = b"") -> Callable[[bytes], int]:
     """Return the function from bytes to their checksum.
 
     Args:
         form: The parameters.
+        width: Bits of the checksum.
         before: Bytes that the checksum always runs over first.
     """
-    run = _mirrored(form) if form.refin else _plain(form) if form.width > 8 else _single(form)
-    init = _mirror(form.init, form.width) if form.refin else form.init
-    start, width, xorout = run(before, init), form.width, form.xorout
-    if form.refin == form.refout:
-        return lambda data: run(data, start) ^ xorout
-    return lambda data: _mirror(run(data, start), width) ^ xorout
+    kind = _mirrored if form.reflected else _plain if width > 8 else _single
+    run = kind(form.poly, width)
+    init = _mirror(form.init, width) if form.reflected else form.init
+    start, xorout = run(before, init), form.xorout
+    return lambda data: run(data, start) ^ xorout
 
 
-def _single(form: Crc) -> Callable[[bytes, int], int]:
+def _single(poly: int, width: int) -> Callable[[bytes, int], int]:
     """Highest bit first, in a register of one byte."""
-    table = tuple(_shifted_out(byte, form) for byte in range(256))
+    table = tuple(_shifted_out(byte, poly, width) for byte in range(256))
 
     def run(data: bytes, register: int) -> int:
         for byte in data:
@@ -62,10 +60,10 @@ def _single(form: Crc) -> Callable[[bytes, int], int]:
     return run
 
 
-def _plain(form: Crc) -> Callable[[bytes, int], int]:
+def _plain(poly: int, width: int) -> Callable[[bytes, int], int]:
     """Highest bit first."""
-    shift, mask = form.width - 8, (1 << form.width) - 1
-    table = tuple(_shifted_out(byte << shift, form) for byte in range(256))
+    shift, mask = width - 8, (1 << width) - 1
+    table = tuple(_shifted_out(byte << shift, poly, width) for byte in range(256))
 
     def run(data: bytes, register: int) -> int:
         for byte in data:
@@ -75,11 +73,11 @@ def _plain(form: Crc) -> Callable[[bytes, int], int]:
     return run
 
 
-def _mirrored(form: Crc) -> Callable[[bytes, int], int]:
+def _mirrored(poly: int, width: int) -> Callable[[bytes, int], int]:
     """Lowest bit first, with the whole register mirrored."""
-    shift, width = form.width - 8, form.width
+    shift = width - 8
     table = tuple(
-        _mirror(_shifted_out(_mirror(byte, 8) << shift, form), width) for byte in range(256)
+        _mirror(_shifted_out(_mirror(byte, 8) << shift, poly, width), width) for byte in range(256)
     )
 
     def run(data: bytes, register: int) -> int:
@@ -90,12 +88,12 @@ def _mirrored(form: Crc) -> Callable[[bytes, int], int]:
     return run
 
 
-def _shifted_out(register: int, form: Crc) -> int:
+def _shifted_out(register: int, poly: int, width: int) -> int:
     """The register after eight more bits."""
-    top = 1 << form.width - 1
+    top = 1 << width - 1
     for _ in range(8):
-        register = register << 1 ^ (form.poly if register & top else 0)
-    return register & (1 << form.width) - 1
+        register = register << 1 ^ (poly if register & top else 0)
+    return register & (1 << width) - 1
 
 
 def _mirror(value: int, width: int) -> int:
@@ -107,8 +105,8 @@ def _mirror(value: int, width: int) -> int:
 Checksum = Callable[[bytes, int], int]
 """From the bytes that a checksum covers, and the frame's alive counter, to the checksum."""
 
-_SAE_J1850 = Crc(width=8, poly=0x1D, init=0xFF, xorout=0xFF)
-_AUTOSAR_P01 = Crc(width=8, poly=0x1D)
+_SAE_J1850 = Crc(poly=0x1D, init=0xFF, xorout=0xFF)
+_AUTOSAR_P01 = Crc(poly=0x1D)
 
 
 Span = tuple[int, int, Literal["little", "big"]]
@@ -116,29 +114,29 @@ Span = tuple[int, int, Literal["little", "big"]]
 last one, and their order."""
 
 
-def checksum_function(integrity: FrameIntegrity) -> Checksum:
+def checksum_function(integrity: FrameIntegrity, width: int = 8) -> Checksum:
     """Return the checksum of a message.
 
     Args:
         integrity: Its form.
+        width: Bits of the checksum.
     """
-    if integrity.algorithm == "autosar-p01":
-        return _profile_1(integrity)
+    if integrity.data_id is not None:
+        return _profile_1(integrity, *integrity.data_id.to_bytes(2, "little"))
     form = integrity.crc or _SAE_J1850
-    crc, after = crc_function(form, bytes(form.before)), bytes(form.after)
+    crc, after = crc_function(form, width, bytes(form.before)), bytes(form.after)
     if form.by_counter:
         last = [after + bytes((byte,)) for byte in form.by_counter]
         return lambda data, counter: crc(data + last[counter % len(last)])
     return (lambda data, _: crc(data + after)) if after else (lambda data, _: crc(data))
 
 
-def _profile_1(integrity: FrameIntegrity) -> Checksum:
-    low, high = integrity.data_id.to_bytes(2, "little")
+def _profile_1(integrity: FrameIntegrity, low: int, high: int) -> Checksum:
     if integrity.data_id_mode == "alternating":
-        even, odd = (crc_function(_AUTOSAR_P01, bytes((byte,))) for byte in (low, high))
+        even, odd = (crc_function(_AUTOSAR_P01, 8, bytes((byte,))) for byte in (low, high))
         return lambda data, counter: odd(data) if counter % 2 else even(data)
-    begin = {"both": (low, high), "low": (low,), "nibble": (low, 0)}[integrity.data_id_mode]
-    crc = crc_function(_AUTOSAR_P01, bytes(begin))
+    whole = (low, 0) if integrity.nibble else (low, high)
+    crc = crc_function(_AUTOSAR_P01, 8, bytes(whole[: 1 if integrity.data_id_mode == "low" else 2]))
     return lambda data, _: crc(data)
 
 
@@ -176,6 +174,9 @@ class FrameVerdict(StrEnum):
 
 _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
 
+
+MAX_JUMP = 3
+"""Largest accepted advance of an alive counter: two lost frames in a row are no other sender."""
 
 _RECENT_SHARE = 4
 _RECENT_FRAMES = 8

@@ -315,8 +315,7 @@ class Port:
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
         stale_s = self._mapping.timing.stale_s
         measured = self._assembly.newest.fresh(self._clock(), stale_s) if order.copies else {}
-        data, fast = order.encode(command, measured), self._config.bitrate_switch
-        return order.codec.frame(data, bitrate_switch=fast)
+        return order.codec.frame(order.encode(command, measured))
 
     def _set_up(self) -> bool:
         """Send what the drive needs before it is commanded; whether the bus took all of it."""

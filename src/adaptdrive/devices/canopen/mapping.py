@@ -21,6 +21,7 @@ from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.canopen import dictionary
 from adaptdrive.devices.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
+from adaptdrive.devices.port import NewestValues
 from adaptdrive.safety.facts import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -207,6 +208,11 @@ class CanOpenMapping:
     def sources(self) -> tuple[description.Source[Entry], ...]:
         """Every quantity that is measured."""
         return tuple(source for status in self.statuses for source in status.sources)
+
+    def newest_values(self) -> NewestValues:
+        """Return the values of the drive, none of which is known yet."""
+        slacks = dict.fromkeys([binding.BRIDGE, *(one.quantity for one in self.sources)], 0.0)
+        return NewestValues(slacks, binding.other_names(self.sources), self.faults)
 
 
 def map_drive(

@@ -35,12 +35,6 @@ from adaptdrive.util.errors import BusError
 _STATUSWORD = dictionary.label(profile.STATUSWORD)
 
 
-def newest_values(mapping: CanOpenMapping) -> port.NewestValues:
-    """Return the values of a drive, none of which is known yet."""
-    slacks = dict.fromkeys([binding.BRIDGE, *(one.quantity for one in mapping.sources)], 0.0)
-    return port.NewestValues(slacks, binding.other_names(mapping.sources), mapping.faults)
-
-
 class Reports:
     """Collects status PDOs, and keeps the newest reading until it is handed out.
 
@@ -63,12 +57,10 @@ class Reports:
             drive: Takes what the statusword says of the bridge.
             counts: Counts of the port, to which refused PDOs are added.
         """
-        self._values = newest_values(mapping)
+        self._values = mapping.newest_values()
         self.faults = self._values.faults
         self._statuses = {status.codec.name: status for status in mapping.statuses}
-        self._control = control
-        self._monitor = drive
-        self._counts = counts
+        self._control, self._monitor, self._counts = control, drive, counts
         self._came: set[str] = set()
         self._sampled_s: float | None = None
         self._repeated = ""
@@ -106,16 +98,15 @@ class Reports:
         elif self._sampled_s is None:
             self._counts["counter_stuck"] += 1
         values = self._follow(status, found)
-        if (on := values.get(binding.BRIDGE)) is not None:
-            self._note_bridge(arrival_s, on=on != 0.0)
         if name in self._came:
             self.begin(None)
             self._repeated = name
+        if (on := values.get(binding.BRIDGE)) is not None:
+            self._note_bridge(arrival_s, on=on != 0.0)
         if self._sampled_s is None:
             return False
         self._came.add(name)
-        carried = (source.quantity for source in status.sources)
-        refused = [quantity for quantity in carried if quantity not in values]
+        refused = [one.quantity for one in status.sources if one.quantity not in values]
         self._values.keep(values, self._sampled_s, refused)
         if self.missing:
             return False
@@ -157,7 +148,7 @@ class Reports:
         self._values.forget(binding.BRIDGE)
 
     def _note_bridge(self, came_s: float, *, on: bool) -> None:
-        """Report the bridge; a PDO without a SYNC may be an old one."""
+        """Report the bridge; a PDO that comes again, or without a SYNC, may be an old one."""
         if self._sampled_s is None:
             self._monitor.hint(on=on, came_s=came_s)
         else:

@@ -129,7 +129,7 @@ def _remedy(code: int, exchange: Exchange) -> tuple[TripKind, str]:
     if code != _NO_FUNCTION or write is None or write.table != "holding":
         return TripKind.POLL_REFUSED if write is None else TripKind.COMMAND_REFUSED, ""
     if read is not None:
-        own = "; bus.read_write = false writes in a request of its own"
+        own = "; bus.write = 'multiple' writes in a request of its own"
         return TripKind.WRITE_FUNCTION, own
     other = ("multiple", _WRITE) if write.single else ("single", _WRITE_REGISTER)
     text = f"; bus.write = {other[0]!r} writes by function {other[1]}"

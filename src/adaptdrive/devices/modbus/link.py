@@ -87,7 +87,7 @@ class SerialPort:
         """
         if self._call is None:
             loop, one = asyncio.get_running_loop(), self._config
-            settings = (one.baud, _BYTE_BITS, one.parity[0].upper(), one.stop_bits, 0.0)
+            settings = (one.baud, _BYTE_BITS, one.parity, one.stop_bits, 0.0)
             given = (self._let_close, loop, None, str(one.device), *settings)
             self._call, self._purpose = _begun(lambda: _Transport(*given)), "opened"
         call = self._call
@@ -313,5 +313,4 @@ def describe_bus(config: TcpLink | RtuLink) -> str:
     """The link in one phrase, such as `modbus-rtu /dev/ttyUSB0 9600 8E1 device 1`."""
     if isinstance(config, TcpLink):
         return f"modbus-tcp {config.host}:{config.port} device {config.device_id}"
-    form = f"8{config.parity[0].upper()}{config.stop_bits}"
-    return f"modbus-rtu {config.device} {config.baud} {form} device {config.device_id}"
+    return f"modbus-rtu {config.device} {config.baud} {config.form} device {config.device_id}"

@@ -74,10 +74,6 @@ class RegisterCatalogue(binding.Catalogue[Named]):
             field = self.field(item, "command")
             yield Sink(binding.BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
 
-    def switch(self, item: Named) -> tuple[float, float]:
-        """Return the counts that switch on and off."""
-        return float(item.register.on), float(item.register.off)
-
 
 def value_in(source: Source[Named], block: registers.Block, words: list[int]) -> float | None:
     """Return a quantity from the registers of its block, None when it must not be used."""
@@ -218,7 +214,7 @@ def map_drive(
     poll = Poll(
         reads=tuple((block, inside(block, sources)) for block in reads),
         writes=tuple((block, inside(block, sinks)) for block in writes),
-        combined=bus.read_write,
+        combined=bus.write == "with-read",
         interval_s=bus.command_interval_s,
         setup=tuple(
             (block, one, one.name not in bus.setup_unread)
@@ -249,11 +245,10 @@ def _combined_flaws(
     alone = [block for block in writes if bus.write == "single" and block.count > 1]
     for block in alone:
         yield Flaw("bus.write", f"'single' writes one register, and one value takes {block}")
-    if not bus.read_write:
+    if bus.write != "with-read":
         return
-    if bus.write == "single":
-        yield Flaw("bus.read_write", "writes several registers, and bus.write = 'single' one")
     if len(writes) != 1:
-        yield Flaw("bus.read_write", f"the command must be one block, it is {len(writes)}")
+        yield Flaw("bus.write", f"'with-read': the command must be one block, it is {len(writes)}")
     if not reads or reads[0].table != "holding":
-        yield Flaw("bus.read_write", "function 23 reads holding registers, and none is measured")
+        problem = "'with-read': function 23 reads holding registers, and none is measured"
+        yield Flaw("bus.write", problem)

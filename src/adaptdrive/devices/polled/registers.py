@@ -49,7 +49,7 @@ def register_field(name: str, register: Register, use: Use) -> Field:
         low, high = sensible_limits(low, high)
     missing = _missing(register, measured=measured)
     words: frozenset[Raw] = frozenset() if missing is None else frozenset({missing})
-    bits = register.bits is not None
+    bits = register.mask is not None
     blanks = words if bits else frozenset()
     if use == "state" and register.not_available is None and not register.real:
         blanks = _unsaid(register)
@@ -75,9 +75,9 @@ def decode(register: Register, field: Field, words: Sequence[int]) -> float | No
         words: Its registers, as many as `register.words`.
     """
     raw = count(register, words)
-    if register.bits is None:
+    if register.mask is None:
         return field.value(raw)
-    return None if raw in field.blanks else field.value(_masked(int(raw), register.bits))
+    return None if raw in field.blanks else field.value(_masked(int(raw), register.mask))
 
 
 def _masked(raw: int, mask: int) -> int:
@@ -125,7 +125,7 @@ def encode_count(register: Register, count: float) -> list[int]:
         ValueError: The registers cannot hold it.
     """
     try:
-        exact = count if register.real else round(count) * _lowest(register.bits)
+        exact = count if register.real else round(count) * _lowest(register.mask)
         packed = struct.pack(_FORMATS[register.type], exact)
     except (struct.error, OverflowError, ValueError) as problem:
         raise ValueError(f"{register.type} cannot hold {count!r}") from problem
@@ -144,8 +144,8 @@ def _limits(register: Register) -> tuple[Raw, Raw]:
     if register.switches:
         return 0, 1
     natural = natural_limits(16 * register.words, signed=_signed(register), real=register.real)
-    if register.bits is not None:
-        natural = 0, _masked(register.bits, register.bits)
+    if register.mask is not None:
+        natural = 0, _masked(register.mask, register.mask)
     if register.range is None:
         return natural
     return declared_limits(natural, (register.range.low, register.range.high), register.scale)
@@ -174,14 +174,14 @@ def _unsaid(register: Register) -> frozenset[Raw]:
     Of a bit all bits of its word count, as 0x8000 is a word of which one is set.
     """
     ones = -1 if _signed(register) else (1 << (16 * register.words)) - 1
-    missing = None if register.bits else _missing(register, measured=True)
+    missing = None if register.mask else _missing(register, measured=True)
     return frozenset({ones} if missing is None else {ones, missing})
 
 
 def _ordered(register: Register, words: Sequence[int]) -> list[int]:
     """Words in the order of the wire, or back: the high one first where that is `big`."""
-    ordered = list(words) if register.word_order == "big" else list(reversed(words))
-    if register.byte_order == "big":
+    ordered = list(words) if register.order in {"ABCD", "BADC"} else list(reversed(words))
+    if register.order in {"ABCD", "CDAB"}:
         return ordered
     return [word >> 8 | (word & 0xFF) << 8 for word in ordered]
 
@@ -359,4 +359,4 @@ def _figures(bus: ModbusLink, exchanges: Sequence[Exchange]) -> str:
 
 def _character_bits(bus: RtuLink) -> int:
     """Start bit, data, parity and stop bits."""
-    return 9 + (bus.parity != "none") + bus.stop_bits
+    return 9 + (bus.parity != "N") + bus.stop_bits

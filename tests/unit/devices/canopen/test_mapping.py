@@ -80,7 +80,7 @@ def test_an_error_code_that_travels_in_no_pdo_is_left_to_the_emergencies(tmp_pat
     entry = "ParameterName=Error code\nObjectType=0x7\nDataType=0x0006\nAccessType=ro\n"
     mapped = f"{entry}DefaultValue=0\nPDOMapping="
     eds = other_eds(tmp_path, (f"{mapped}1", f"{mapped}0"))
-    found = flaws({"bus/eds": str(eds), "signals/faults": ["0x603F"]})["signals.faults"]
+    found = flaws({"bus/eds": str(eds), "signals/fault": ["0x603F"]})["signals.fault"]
     assert "does not send 'Error code' in a PDO: leave it out, its emergencies" in found
 
 
@@ -108,7 +108,7 @@ def test_one_object_may_be_two_quantities() -> None:
         ("signals/counter", "0x2000.2", "makes the daemon the clock"),
         ("signals/command/boost_reference_V", None, "is missing"),
         ("bus/own_node_id", 5, "5 is the drive's own node id"),
-        ("bus/heartbeat_timeout_s", 0.035, "at least 2 times"),
+        ("bus/heartbeat_timeout_s", 0.02, "greater than or equal to 0.025"),
         ("bus/node_id", 128, "less than or equal to 127"),
         ("bus/channel", "can0", "an IPv4 multicast group"),
         ("bus/eds", "none.eds", "no such file"),

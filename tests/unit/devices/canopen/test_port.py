@@ -37,7 +37,7 @@ async def test_a_node_is_told_everything_before_it_is_started(peer: Peer) -> Non
         await bench.ready()
     number = peer.number
     assert number(0x1016, 1) == 127 << 16 | 2000
-    assert number(0x1017) == 20
+    assert number(0x1017) == 400
     assert number(0x6007) == 2
     assert (number(0x1005), number(0x1006)) == (0x80, 8333)
     assert number(0x6060) == 0xFF

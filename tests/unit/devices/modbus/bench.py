@@ -49,7 +49,7 @@ MAP: dict[str, str | None] = {
     "bus__registers__power": "{ address = 2, table = 'input' }",
 }
 FUNCTION_23: dict[str, str | None] = {
-    "bus__read_write": "true",
+    "bus__write": '"with-read"',
     **{
         f"bus__registers__{name}": f"{{ address = {address}, table = 'holding', {rest} }}"
         for name, address, rest in (
@@ -65,7 +65,7 @@ FUNCTION_23: dict[str, str | None] = {
 
 def reported(changes: dict[str, str | None]) -> dict[str, str | None]:
     """A map whose state register is the report of the bridge."""
-    address, table = (15, "holding") if "bus__read_write" in changes else (5, "input")
+    address, table = (15, "holding") if "bus__write" in changes else (5, "input")
     register = f"{{ address = {address}, table = '{table}', type = 'uint16' }}"
     return {**changes, "bus__registers__closed": register, "signals__bridge": '"closed"'}
 
@@ -131,7 +131,7 @@ class Peer(asyncio.Protocol):
             "bus__host": None,
             "bus__device": f'"{self.address}"',
             "bus__baud": "115200",
-            "bus__parity": '"none"',
+            "bus__form": '"8N1"',
         }
 
     def start(self) -> None:
@@ -323,7 +323,7 @@ def build(clock: Callable[[], float] | None = None, /, **changes: str | None) ->
 @contextlib.asynccontextmanager
 async def benched(kind: str = "tcp", /, **changes: str | None) -> AsyncIterator[Bench]:
     """Run a port against a peer."""
-    peer = Peer(kind, 10 if "bus__read_write" in changes else 0)
+    peer = Peer(kind, 10 if "bus__write" in changes else 0)
     one = Bench(build(**{**peer.link, **changes}), peer)
     peer.start()
     async with ran(one):

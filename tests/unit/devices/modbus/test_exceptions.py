@@ -33,7 +33,7 @@ READ, ACROSS, WRITE = block("holding"), block("holding", 3), block("holding")
         (11, Exchange(read=READ), "gateway: no reply of the device", "check device_id"),
         (1, Exchange(write=WRITE), "; bus.write = 'single' writes by function 6", "set the key"),
         (1, Exchange(write=block("holding", single=True)), "= 'multiple' writes by", "set the key"),
-        (1, Exchange(READ, WRITE), "; bus.read_write = false writes", "set the key"),
+        (1, Exchange(READ, WRITE), "; bus.write = 'multiple' writes in", "set the key"),
         (1, Exchange(write=block("coil", single=True)), "(address from 0)", "check the register"),
         (11, Exchange(write=WRITE), "gateway: no reply of the device", "check device_id"),
         (3, Exchange(write=WRITE), "(address from 0)", "check the register map"),

@@ -131,5 +131,3 @@ def test_a_single_write_takes_one_register() -> None:
     wide = "{ address = 40, table = 'holding', type = 'float32' }"
     with pytest.raises(ConfigurationError, match="'single' writes one register"):
         plan(bus__registers__wanted=wide)
-    with pytest.raises(ConfigurationError, match=r"bus.read_write: writes several registers"):
-        plan(bus__read_write="true", bus__registers__power="{ address = 20, table = 'holding' }")

@@ -182,7 +182,7 @@ async def test_a_sensor_line_that_repeats_each_reply_mixes_up_one_value() -> Non
     """The copy comes when the next cycle has begun: it passed for the reply to its first read."""
     peer, ear = Peer("rtu"), SensorEar()
     peer.spoil = lambda reply: [(0.002, reply), (0.02, reply)]
-    line = {"type": "modbus-rtu", "device": peer.address, "baud": 115200, "parity": "none"}
+    line = {"type": "modbus-rtu", "device": peer.address, "baud": 115200, "form": "8N1"}
     cycle = {"cycle_s": 0.05, "timeout_s": 0.024, "max_gap": 0, "max_block": 2}
     config = ModbusRtuSensors.model_validate(SENSORS | line | cycle)
     port = build_modbus_sensors(config, "sensor_bus.0", asyncio.get_running_loop().time)
@@ -237,7 +237,7 @@ class Rig(Bench):
     """
 
     def __init__(self, changes: Changes, timeout_s: float) -> None:
-        self.drive = WatchedDrive(10 if "bus__read_write" in changes else 0, timeout_s)
+        self.drive = WatchedDrive(10 if "bus__write" in changes else 0, timeout_s)
         self._looks, self._been_on, self.stands_at, self.decisions = 0, False, -1, math.inf
         port = build(self._clock, **{**self.drive.link, **reported(changes)})
         super().__init__(port, self.drive)

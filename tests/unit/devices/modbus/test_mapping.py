@@ -81,19 +81,19 @@ def test_a_write_never_runs_across_a_gap() -> None:
 
 
 def test_reading_and_writing_at_once_needs_holding_registers() -> None:
-    assert "none is measured" in flaws(bus__read_write="true")["bus.read_write"]
+    assert "none is measured" in flaws(bus__write='"with-read"')["bus.write"]
 
 
 def test_reading_and_writing_at_once_needs_one_block_to_write() -> None:
     apart = {"bus__registers__control": "{ address = 9, table = 'holding' }"}
     measured = {"bus__registers__power": "{ address = 20, table = 'holding' }"}
-    found = flaws(**apart, **measured, bus__read_write="true")
-    assert "it is 2" in found["bus.read_write"]
-    assert plan(**measured, bus__read_write="true").combined
+    found = flaws(**apart, **measured, bus__write='"with-read"')
+    assert "it is 2" in found["bus.write"]
+    assert plan(**measured, bus__write='"with-read"').combined
 
 
 def test_a_drive_whose_safe_command_would_switch_it_on_is_a_flaw() -> None:
-    found = flaws(bus__registers__control="{ address = 1, table = 'holding', off = 1 }")
+    found = flaws(signals__command__bridge="{ signal = 'control', off = 1 }")
     assert found["signals.command.bridge"] == "on and off are both 1"
 
 
@@ -158,17 +158,17 @@ def test_bytes_of_an_exchange(exchange: Exchange, rtu: int, tcp: int) -> None:
 def test_a_character_has_eleven_bits_with_parity_and_ten_without() -> None:
     exchange = Exchange(read=Block("input", 0, 6))
     found = {}
-    for parity in ("even", "none"):
+    for form in ("8E1", "8N1"):
         bus = parse(
             **RTU,
-            bus__parity=f'"{parity}"',
+            bus__form=f'"{form}"',
             bus__baud="9600",
             bus__turnaround_s="0.0",
         ).bus
         assert isinstance(bus, ModbusRtu)
-        found[parity] = exchange_s(bus, exchange)
-    assert found["even"] == pytest.approx((25 + 2 * 3.5) * 11 / 9600)
-    assert found["none"] == pytest.approx((25 + 2 * 3.5) * 10 / 9600)
+        found[form] = exchange_s(bus, exchange)
+    assert found["8E1"] == pytest.approx((25 + 2 * 3.5) * 11 / 9600)
+    assert found["8N1"] == pytest.approx((25 + 2 * 3.5) * 10 / 9600)
 
 
 def test_a_rate_that_does_not_fit_is_refused_with_its_figures() -> None:

@@ -45,13 +45,13 @@ SCATTERED: Changes = {
 """Four blocks that are read one by one."""
 
 REPORTED: Changes = {
-    "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
+    "bus__registers__on": "{ address = 5, table = 'input', mask = 0x1 }",
     "signals__bridge": '"on"',
 }
 """The bridge is a bit of the peer's state."""
 
 ON_OF_TWO: Changes = {
-    "bus__registers__on": "{ address = 0, table = 'input', bit = 2 }",
+    "bus__registers__on": "{ address = 0, table = 'input', mask = 0x4 }",
     "signals__bridge": '"on"',
 }
 """The bridge is a bit of the word of the voltage."""

@@ -45,7 +45,7 @@ COMMON = {
 }
 RPM = 0.10471975511965977
 TCP = {"type": "modbus-tcp", "host": "127.0.0.1"}
-RTU = {"type": "modbus-rtu", "device": "/dev/drive.tty", "baud": 115200, "parity": "none"}
+RTU = {"type": "modbus-rtu", "device": "/dev/drive.tty", "baud": 115200, "form": "8N1"}
 
 
 def build(given: Mapping[str, object], demands: Demands | None = None) -> SensorPort:

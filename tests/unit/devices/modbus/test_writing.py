@@ -30,8 +30,9 @@ SETUP = {
     "bus__setup_unread": "['unlock']",
 }
 FIELDS = {
-    "bus__registers__control": "{ address = 1, table = 'holding', mask = 0x0007, on = 3 }",
-    "bus__registers__local": "{ address = 1, table = 'holding', bit = 9 }",
+    "bus__registers__control": "{ address = 1, table = 'holding', mask = 0x0007 }",
+    "signals__command__bridge": "{ signal = 'control', on = 3 }",
+    "bus__registers__local": "{ address = 1, table = 'holding', mask = 0x200 }",
     "signals__command__constants__local": "1",
 }
 DAY_S = 86400.0

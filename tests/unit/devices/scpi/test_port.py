@@ -197,18 +197,18 @@ async def test_a_supply_that_does_not_say_that_it_is_done_is_named(rig: Rig) -> 
     await until(lambda: any(missing in line for line in rig.port.details()))
 
 
-def error_word(**how: int) -> dict[str, object]:
+def error_word(**how: int | str) -> dict[str, object]:
     return {"values": {"error": {"query": "SYST:ERR?", **how}}}
 
 
 @pytest.mark.parametrize(
     ("rig", "expected"),
     [
-        (error_word(bit=4), 1),
-        (error_word(bit=3), 0),
+        (error_word(mask=0x10), 1),
+        (error_word(mask=0x08), 0),
         (error_word(mask=0x30), 3),
         (error_word(mask=0x248), 0x200 >> 3),
-        (error_word(base=16), 0x234),
+        (error_word(form="hexadecimal"), 0x234),
     ],
     indirect=["rig"],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,8 @@ def test_a_run_is_repeated_with_the_same_result(tmp_path: Path) -> None:
 
 def test_the_ideal_loop_reaches_every_set_point_with_the_designed_poles() -> None:
     stand = Stand(draw(read_campaign(STANDARD), 12))
-    stand.references = np.concatenate([np.full(5, 3.0), np.full(75, 3.2)])
+    references = np.concatenate([np.full(5, 3.0), np.full(75, 3.2)])
+    stand.plan = replace(stand.plan, references=references)
     stand.sizes = np.full(80, stand.scenario.inertias[0])
     ideal = stand.ideal
     assert ideal[:6] == pytest.approx(3.0)

@@ -62,7 +62,7 @@ def test_a_life_of_everything_is_lived_to_its_end(mode: Mode) -> None:
     stand = Stand(next(one for s in SEEDS if _is_full(one := draw(campaign, s))))
     run = stand.run(mode)
     assert run.interlock == 0
-    assert stand.stops
+    assert stand.plan.stops
     assert np.isfinite(run["output"][stand.running()]).all()
 
 

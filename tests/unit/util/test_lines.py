@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.util.log import bind, configured, leads_to_journal, line, log
+from adaptdrive.util.lines import bind, configured, leads_to_journal, line, write_line
 
 
 def log_lines(path: Path, journal: Path | None) -> list[str]:
@@ -24,9 +24,9 @@ def log_lines(path: Path, journal: Path | None) -> list[str]:
             journal.touch()
             place = journal.stat()
             patch.setenv("JOURNAL_STREAM", f"{place.st_dev}:{place.st_ino}")
-        log("info", "starting", drive="motor")
-        log("warning", "broker lost")
-        log("error", "over-voltage")
+        write_line("info", "starting", drive="motor")
+        write_line("warning", "broker lost")
+        write_line("error", "over-voltage")
     return path.read_text().splitlines()
 
 
@@ -76,12 +76,12 @@ def test_warnings_of_libraries_are_lines_too(tmp_path: Path) -> None:
 
 
 def test_a_line_can_be_made_without_being_written() -> None:
-    entry = json.loads(line("warning", "log lines lost", lost=3))
-    assert (entry["event"], entry["level"], entry["lost"]) == ("log lines lost", "warning", 3)
+    entry = json.loads(line("warning", "lines lost", lost=3))
+    assert (entry["event"], entry["level"], entry["lost"]) == ("lines lost", "warning", 3)
 
 
 def test_a_client_of_the_broker_does_not_import_structlog(outside: None) -> None:
-    """It has the module of the log, and writes no line."""
+    """It has this module, and writes no line."""
     program = "import sys, adaptdrive.mqtt.client; print('structlog' in sys.modules)"
     answer = subprocess.run(
         [sys.executable, "-c", program], check=True, capture_output=True, text=True

@@ -1,4 +1,4 @@
-"""The log: one JSON object a line on stderr, for the journal. Nothing is logged per tick.
+"""Lines on stderr: one JSON object each, for the journal of the system; none for single ticks.
 
 structlog makes the lines, also those of libraries, which use `logging`. It is imported with the
 first line: a command that writes none starts without it.
@@ -23,7 +23,7 @@ _PRIORITIES = {"critical": "<2>", "error": "<3>", "warning": "<4>", "info": "<6>
 _NAME = "adaptdrive"
 
 
-def log(level: Level, event: str, **facts: object) -> None:
+def write_line(level: Level, event: str, **facts: object) -> None:
     """Write one line.
 
     Args:
@@ -35,7 +35,7 @@ def log(level: Level, event: str, **facts: object) -> None:
 
 
 def line(level: Level, event: str, **facts: object) -> str:
-    """Return a line, with a priority where stderr is the journal; see `log`."""
+    """Return a line, with a priority where stderr is the journal; see `write_line`."""
     record = logging.makeLogRecord({"levelname": level.upper(), "msg": event, **facts})
     return configured().format(record)
 

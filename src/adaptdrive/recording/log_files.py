@@ -1,4 +1,4 @@
-"""Files of the journal: names, records, and the state that they carry to the next run.
+"""Files of the log: names, records, and the state that they carry to the next run.
 
 Replies are remembered for commands that come again, events until the broker has them, and of trips
 and estimates the last one. The first record of a segment has all of it, so that a segment can be
@@ -9,12 +9,16 @@ The daemon holds a lock on the file that it writes.
 """
 
 import contextlib
+import errno
 import fcntl
+import os
 import re
+import shutil
 from collections import OrderedDict, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -22,7 +26,7 @@ import msgspec
 from adaptdrive.recording.records import LARGEST_BYTES, EventRow, Header, Kind, Record, read_frames
 from adaptdrive.recording.session import Ending, SessionInfo, time_in_name
 from adaptdrive.util.errors import NOT_JSON, RecordingError, reason_of
-from adaptdrive.util.files import read_regular
+from adaptdrive.util.files import read_regular, require_regular
 
 # State that the log carries from segment to segment: a fold over its records.
 
@@ -69,7 +73,11 @@ class Begin(msgspec.Struct, frozen=True):
 
 
 class LogMemory:
-    """The fold."""
+    """The fold.
+
+    Attributes:
+        number: Number of the last record.
+    """
 
     def __init__(self, recalled: Recalled, now_s: float) -> None:
         """Begin with what an earlier run has left.
@@ -78,21 +86,15 @@ class LogMemory:
             recalled: That.
             now_s: Present time, monotonic.
         """
-        self._last = Record(recalled.number, now_s, 0.0, Kind.BEGIN, b"")
         self._begin(recalled, now_s)
-
-    @property
-    def number(self) -> int:
-        """Number of the last record."""
-        return self._last.number
+        self.number, self._time_s, self._wall_s = recalled.number, now_s, 0.0
 
     def _begin(self, left: Recalled, now_s: float) -> None:
         self._replies = OrderedDict(
             (identity, (now_s - age_s, body)) for identity, age_s, body in left.replies
         )
         self._unsent = deque(left.unsent, maxlen=EVENTS)
-        self._trip = left.trip
-        self._learnt = left.learnt
+        self._trip, self._learnt = left.trip, left.learnt
 
     def take(self, record: Record) -> None:
         """Take a record; one that cannot be decoded has no effect.
@@ -100,30 +102,26 @@ class LogMemory:
         Args:
             record: The next one of the log.
         """
-        self._last = record
+        self.number, self._time_s, self._wall_s = record.number, record.monotonic_s, record.wall_s
+        decode = partial(msgspec.msgpack.decode, record.payload)
         with contextlib.suppress(*NOT_JSON):
             match record.kind:
                 case Kind.BEGIN:
-                    begin = msgspec.msgpack.decode(record.payload, type=Begin)
-                    self._begin(begin.left, record.monotonic_s)
+                    self._begin(decode(type=Begin).left, record.monotonic_s)
                 case Kind.REPLY:
-                    identity, body = msgspec.msgpack.decode(record.payload, type=tuple[str, bytes])
+                    identity, body = decode(type=tuple[str, bytes])
                     self._replies.pop(identity, None)
                     self._replies[identity] = record.monotonic_s, body
                     if len(self._replies) > REPLIES:
                         self._replies.popitem(last=False)
                 case Kind.EVENT:
-                    event = msgspec.msgpack.decode(record.payload, type=EventRow)
+                    event = decode(type=EventRow)
                     self._unsent.append(event)
-                    if event.kind == TRIP:
-                        self._trip = event
-                case Kind.SENT:
-                    if self._unsent:
-                        self._unsent.popleft()
+                    self._trip = event if event.kind == TRIP else self._trip
+                case Kind.SENT if self._unsent:
+                    self._unsent.popleft()
                 case Kind.LEARNT:
                     self._learnt = record.payload
-                case _:
-                    pass
 
     def left(self, now_s: float) -> Recalled:
         """Return what the next segment begins with.
@@ -131,10 +129,8 @@ class LogMemory:
         Args:
             now_s: Present time, monotonic.
         """
-        replies = tuple(
-            (identity, max(0.0, now_s - born_s), body)
-            for identity, (born_s, body) in self._replies.items()
-        )
+        found = self._replies.items()
+        replies = tuple((one, max(0.0, now_s - born_s), body) for one, (born_s, body) in found)
         return Recalled(replies, tuple(self._unsent), self._trip, self._learnt, self.number)
 
     def recalled(self, now: datetime, file: int, flaws: tuple[str, ...]) -> Recalled:
@@ -145,9 +141,8 @@ class LogMemory:
             file: Number of the last file.
             flaws: What could not be read.
         """
-        since_s = max(0.0, now.timestamp() - self._last.wall_s)
-        left = self.left(self._last.monotonic_s + since_s)
-        return msgspec.structs.replace(left, file=file, flaws=flaws)
+        since_s = max(0.0, now.timestamp() - self._wall_s)
+        return msgspec.structs.replace(self.left(self._time_s + since_s), file=file, flaws=flaws)
 
 
 # Files of the log of a drive: their names, their records, and what the next run recalls of them.
@@ -338,3 +333,35 @@ def _content(path: Path) -> bytes:
         return b""
     except OSError as problem:
         raise RecordingError(path, reason_of(problem)) from problem
+
+
+# Disk space set aside for a full disk: events, the end of a session, and the record of a trip.
+
+_RESERVE = ".reserve"
+_RESERVE_BYTES = 2 << 20
+"""Two records of a trip, each of 70 s at full rate."""
+
+
+def set_aside(folder: Path) -> None:
+    """Occupy the reserve, where that is not done yet.
+
+    Raises:
+        OSError: There is too little space for the reserve and as much again to record into, or
+            something that is no file has its name.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path, held = folder / _RESERVE, 0
+    if path.exists():
+        require_regular(path)
+        held = path.stat().st_size
+    if held >= _RESERVE_BYTES:
+        return
+    if shutil.disk_usage(folder).free < 2 * _RESERVE_BYTES - held:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+    with path.open("ab") as file:
+        os.posix_fallocate(file.fileno(), 0, _RESERVE_BYTES)
+
+
+def release(folder: Path) -> None:
+    """Give the reserve back to the disk."""
+    (folder / _RESERVE).unlink(missing_ok=True)
