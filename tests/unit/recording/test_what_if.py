@@ -47,7 +47,7 @@ def test_the_last_of_two_settings_of_one_key_holds() -> None:
         ("estimator.forgeting=0.95", "estimator.forgeting", "Unknown key"),
         ("estimator.forgetting=2", "estimator.forgetting", "less than or equal to 1"),
         ("estimator.forgetting=much", "estimator.forgetting", "'much'"),
-        ("load.pole.fast=1", "pole", "valid number"),
+        ("interlocks.stop_s.fast=1", "stop_s", "valid number"),
         ("estimators.forgetting=0.95", "estimators", "Unknown key"),
         ("estimator.forgetting", "estimator.forgetting", "is not KEY=VALUE"),
         ("=0.95", "=0.95", "is not KEY=VALUE"),
