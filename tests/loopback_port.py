@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections.abc import Callable
 
-from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Snapshot
+from adaptdrive.control.signals import Command, Decision, Snapshot
 from adaptdrive.devices.port import Listener, PortStatistics
 from adaptdrive.runtime.reports import TickReport
 from adaptdrive.safety.facts import Reading
@@ -88,9 +88,7 @@ class LoopbackPort:
         self._sent += 1
         self._commanded(command)
         self.monitor.command(command)
-        self.monitor.given = command.bridge
-        if command == SAFE_COMMAND:
-            self.monitor.take_safe()
+        self.monitor.take(command)
         return True
 
     def catch_up(self) -> None:

@@ -27,6 +27,9 @@ from adaptdrive.safety.trips import Trip, TripKind
 _SLACK_S = 1e-6
 """Rounding of sums of half cycles: the last one within the grace is not yet a stop."""
 
+_NEXT_SHARE = 0.9
+"""Share of a reading after which a report is that of the next one: frames come a little early."""
+
 QUIET_S = 5.0
 """Time without a foreign command until the drive may be energised. A sender commands its drive
 many times in it, as every drive has a time-out far shorter than this."""
@@ -53,6 +56,10 @@ class Doubt(Enum):
     LEAPT = (
         "its alive counter leapt meanwhile: it may have started anew",
         "An alive counter advanced by more than frames may be lost.",
+    )
+    STANDS = (
+        "its heartbeat stood still meanwhile",
+        "The heartbeat register of a drive that is polled has not advanced for its time-out.",
     )
     UNANSWERED = (
         "a read had no answer meanwhile",
@@ -120,6 +127,7 @@ class Monitor:
         self.slack_s, self.cycle_s = slack_s, cycle_s
         self.powered = self.given = False
         self.safe_s = self._offered_s = math.inf
+        self._begun_s = -math.inf
         self._came_s = math.inf
         self._foreign, self._foreign_count, self._foreign_s = "", 0, -math.inf
         self._commanded = self._lingers = False
@@ -169,14 +177,14 @@ class Monitor:
             until_s: End of that time.
             span_s: Its length, where the reason has one.
         """
-        if self._commanded and self.given:
+        if self._commanded and (self.given or self._been_on):
             longest_s = max(span_s, self._doubts.get(why, (0.0, 0.0))[1])
             self._doubts[why] = until_s, longest_s
 
     def lose(self) -> None:
         """Note that the bus was lost: nothing that was sent on it counts any more."""
         self.doubt(Doubt.BUS_LOST, self._clock())
-        self.given, self.safe_s = False, math.inf
+        self.given, self.safe_s, self._begun_s = False, math.inf, self._clock()
         if not self._acknowledges:
             self._offered_s = math.inf
 
@@ -194,14 +202,30 @@ class Monitor:
             self._rest()
         self._commanded = command.bridge
 
-    def offer_safe(self) -> None:
-        """Note that the drive may receive the safe command from now on; the first time counts."""
-        self._offered_s = min(self._offered_s, self._clock())
+    def offer(self, command: Command) -> None:
+        """Note that the drive may receive a command from now on.
 
-    def take_safe(self) -> None:
-        """Note that the safe command was taken; the first time counts."""
-        self.offer_safe()
-        self.safe_s = min(self.safe_s, self._clock())
+        Of the safe command the first time counts; any other one ends it, whenever it was decided.
+
+        Args:
+            command: The command.
+        """
+        self.given = self.given or command.bridge
+        if command == SAFE_COMMAND:
+            self._offered_s = min(self._offered_s, self._clock())
+        else:
+            self.safe_s = self._offered_s = math.inf
+
+    def take(self, command: Command) -> None:
+        """Note that the bus, or the drive where it acknowledges commands, has taken a command.
+
+        Args:
+            command: The command.
+        """
+        self.offer(command)
+        self.given = command.bridge
+        if command == SAFE_COMMAND:
+            self.safe_s = min(self.safe_s, self._clock())
 
     def note_foreign(self, frame: str) -> None:
         """Note a command to the drive that this process has not sent.
@@ -243,11 +267,12 @@ class Monitor:
     @property
     def overdue_s(self) -> float:
         """Time for which the drive has not obeyed the safe command; negative while it may yet."""
-        offered_s = self._clock() - self._offered_s
-        still_on_s = offered_s - self._obeyed_s if self.powered else -math.inf
-        untaken = self._acknowledges and self.safe_s == math.inf
-        untaken_s = offered_s - self._taken_s if untaken else -math.inf
-        return max(still_on_s, untaken_s)
+        now_s, offered_s = self._clock(), self._offered_s
+        still_on_s = now_s - offered_s - self._obeyed_s if self.powered else -math.inf
+        if not self._acknowledges or self.safe_s < math.inf:
+            return still_on_s
+        # without a link nothing can acknowledge it
+        return max(still_on_s, now_s - max(offered_s, self._begun_s) - self._taken_s)
 
     @property
     def trip_cause(self) -> Trip | None:
@@ -315,7 +340,7 @@ class Monitor:
 
     def _is_silent(self, now_s: float) -> bool:
         """Return whether the bridge was not reported for as long as a stop takes."""
-        driven = self.given and self.slack_s is not None
+        driven = (self.given or self._been_on) and self.slack_s is not None
         return driven and now_s - self._came_s > self._unreported_s
 
     def _note_passed(self, now_s: float, unwatched_s: float, heard_s: float) -> None:
@@ -337,7 +362,7 @@ class Monitor:
         """Note a bridge that is off: of one that has been on it is a stop, or a bounce."""
         self._lingers = False
         switches = asked_s - self._commanded_s <= self._switched_on_s
-        again = asked_s - self._bounced_s > 0.5 * self._reading_s  # not of the same reading
+        again = asked_s - self._bounced_s > _NEXT_SHARE * self._reading_s
         if self._come and switches and not (again or self._doubts):
             self._bounced_s = min(self._bounced_s, asked_s)
         elif self._come or (self._been_on and self._doubts):

@@ -349,11 +349,32 @@ def test_reports_that_come_faster_than_readings_may_all_be_of_one_bounce() -> No
     drive.look(off(0, commanded=False))
     drive.look(off(1))
     drive.look(on(2))
-    for ticks in (2.1, 2.2, 2.3):
+    for ticks in (2.1, 2.2, 2.8):
         drive.watch.report(on=False, asked_s=64.0 + ticks * TICK_S, came_s=64.0 + ticks * TICK_S)
         assert verdict(drive) is Verdict.MAY_HAVE_STOPPED
-    drive.watch.report(on=True, asked_s=64.0 + 2.4 * TICK_S, came_s=64.0 + 2.4 * TICK_S)
+    drive.watch.report(on=True, asked_s=64.0 + 2.9 * TICK_S, came_s=64.0 + 2.9 * TICK_S)
     assert verdict(drive) is Verdict.OBEYS
+
+
+def test_a_drive_that_was_on_may_have_stopped_although_nothing_was_sent_since_a_loss() -> None:
+    """A second loss, or a queue that is full, comes before the next command has gone out."""
+    drive = Driven()
+    drive.watch.lose()
+    assert stopped(drive, on=True) is None
+    drive.watch.command(ON)
+    drive.watch.lose()
+    assert verdict(drive) is Verdict.MAY_HAVE_STOPPED
+    assert stopped(drive, on=True) is None
+    assert drive.pass_s(0.09).verdict is Verdict.MAY_HAVE_STOPPED
+
+
+def test_a_command_that_goes_out_after_the_safe_one_ends_it() -> None:
+    """The reply to the safe command came after another one had been decided."""
+    drive = told_to_stop()
+    drive.watch.command(ON)
+    drive.watch.take(SAFE_COMMAND)
+    drive.watch.offer(ON)
+    assert drive.watch.safe_s == math.inf
 
 
 def test_a_frame_that_may_be_old_ends_no_doubt() -> None:
@@ -375,7 +396,7 @@ def told_to_stop(*, acknowledges: bool = False) -> Seen:
     drive = Driven()
     drive.watch._acknowledges = acknowledges
     drive.command(on=False)
-    drive.watch.take_safe()
+    drive.watch.take(SAFE_COMMAND)
     return drive
 
 
@@ -383,7 +404,7 @@ def test_a_drive_that_stays_on_does_not_obey_after_its_time_from_the_first_comma
     drive = told_to_stop()
     began_s = drive.now_s
     assert overdue_s(drive, 0.75) == -0.25
-    drive.watch.take_safe()
+    drive.watch.take(SAFE_COMMAND)
     assert verdict(drive) is Verdict.OBEYS
     assert overdue_s(drive, 0.5) == 0.25
     assert verdict(drive) is Verdict.DISOBEYS
@@ -400,7 +421,7 @@ def test_its_time_begins_anew_after_another_command() -> None:
     drive.command(on=True)
     assert drive.watch.safe_s == math.inf
     drive.command(on=False)
-    drive.watch.take_safe()
+    drive.watch.take(SAFE_COMMAND)
     assert overdue_s(drive, 0.75) == -0.25
 
 
@@ -409,8 +430,8 @@ def test_a_drive_that_is_off_obeys_once_it_has_acknowledged_the_safe_command() -
     drive.watch.report(on=False, asked_s=drive.now_s, came_s=drive.now_s)
     assert overdue_s(drive, 0.5) == -math.inf
     drive.watch.lose()
-    assert overdue_s(drive, 0.5 + 2 * TICK_S) == TICK_S  # it has a second and a reading for that
-    drive.watch.take_safe()
+    assert overdue_s(drive, 1.0 + 2 * TICK_S) == TICK_S  # a second and a reading of the new link
+    drive.watch.take(SAFE_COMMAND)
     assert overdue_s(drive, 1e3) == -math.inf
 
 

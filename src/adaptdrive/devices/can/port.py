@@ -155,12 +155,11 @@ class Port:
             taken += self._connection.send(frame)
         self._connection.note_command(taken=taken == len(frames))
         if taken < len(frames):  # the frame that energises may be one of those that went out
-            monitor.given = monitor.given or (bridge and taken > 0)
+            if bridge and taken:
+                monitor.offer(command)
             return False
-        monitor.given = bridge
+        monitor.take(command)
         self._sent_s |= {order.codec.key: self._clock() for order in orders if order.every_s}
-        if command == SAFE_COMMAND:
-            monitor.take_safe()
         return True
 
     def catch_up(self) -> None:

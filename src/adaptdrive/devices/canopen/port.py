@@ -123,11 +123,9 @@ class Port(node.NodePort):
         self._connection.note_command(taken=all(taken))
         if not all(taken):
             return False
-        self.monitor.given = command.bridge
+        self.monitor.take(command)
         if self.monitor.verdict is not Verdict.DISOBEYS:
             self._beat()
-        if command == SAFE_COMMAND:
-            self.monitor.take_safe()
         return True
 
     def catch_up(self) -> None:

@@ -260,5 +260,6 @@ class Port(Polling[PolledLink, Listener]):
         alive = self._assembly.is_alive(start_s)
         if alive is False:
             self._counts["counter_stuck"] += 1
+            self._history.note_standing_heartbeat()
             self._failure = Trip(TripKind.HEARTBEAT_STANDS, reports.STANDS_STILL)
         return alive is True

@@ -153,6 +153,7 @@ class Commander:
         if not answered:  # it may have started anew
             self._pace.forget()
         self._history.silent = not answered
+        self._history.note_silence()
 
     def begin_poll(self) -> bool:
         """Begin a poll; return whether the command goes with its first read.
@@ -161,6 +162,7 @@ class Commander:
         it reports, and one that had stopped by itself would be switched on unseen. Otherwise the
         drive is read first, and the command follows.
         """
+        self._history.note_silence()
         joins = self._poll.combined and self._newest(joined=True) is not None
         if not joins:
             self._written = None  # it takes none with this read

@@ -62,16 +62,12 @@ class PollHistory:
 
     def attempt(self, command: Command) -> None:
         """Note that the drive may receive a command from now on."""
-        if command == SAFE_COMMAND:
-            self._monitor.offer_safe()
-        self._monitor.given = self._monitor.given or command.bridge
+        self._monitor.offer(command)
 
     def take(self, command: Command, asked_s: float) -> None:
         """Note that the drive has acknowledged a command, which was sent at `asked_s`."""
-        self.bridge = self._monitor.given = command.bridge
-        self.fed_s = asked_s
-        if command == SAFE_COMMAND:
-            self._monitor.take_safe()
+        self.bridge, self.fed_s = command.bridge, asked_s
+        self._monitor.take(command)
 
     def begin(self) -> None:
         """Begin a link: nothing is known of the drive on it."""
@@ -81,16 +77,19 @@ class PollHistory:
         self._stepped_s = self._clock()
 
     def note_step(self) -> None:
-        """Note that the port does its work; a command from before a standstill is void.
-
-        A drive that has neither answered the last read nor taken a command for long may have
-        stopped.
-        """
+        """Note that the port does its work; a command from before a standstill is void."""
         now_s = self._clock()  # one look: the process may stand still between two
         self._outdated = self._outdated or self._stands_still(now_s)
         self._stepped_s = now_s
+
+    def note_silence(self) -> None:
+        """Note that nothing came; never after a reply, which would end the doubt of before."""
         if self.silent and self._may_have_timed_out:
-            self._monitor.doubt(Doubt.UNANSWERED, now_s)
+            self._monitor.doubt(Doubt.UNANSWERED, self._clock())
+
+    def note_standing_heartbeat(self) -> None:
+        """Note that the controller of the drive hangs, whatever else it answers."""
+        self._monitor.doubt(Doubt.STANDS, self._clock())
 
     def note_bridge(self, *, powered: bool) -> None:
         """Note whether the drive reports its bridge on, or is assumed to have it on."""
