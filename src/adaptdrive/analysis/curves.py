@@ -11,7 +11,6 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from adaptdrive.config.load import AnyLoad
-from adaptdrive.identification.excerpt import means_of
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.session import TableName
 from adaptdrive.util.errors import RecordingError
@@ -316,6 +315,8 @@ def response_of(
         section: The load, with its slow period and the range of its set-points.
         fault: Cause that ended the loop early, empty for none.
     """
+    from adaptdrive.identification.excerpt import means_of  # noqa: PLC0415 - demonstrations do without
+
     first = (len(columns["output"]) // samples - len(time_s)) * samples
     reference, output, volts = (columns[name][first:] for name in _RESPONSE)
     reference = reference[samples - 1 :: samples]

@@ -95,3 +95,10 @@ def test_the_next_step_of_the_readme_works_as_typed_and_the_demonstration_names_
     typed = found[1].replace(".venv/bin/activate", str(activate))
     subprocess.run(["sh", "-ec", typed], check=True, capture_output=True)
     assert (tmp_path / "pump.toml").exists()
+
+
+@pytest.mark.parametrize("library", ["scipy", "polars"])
+def test_the_demonstration_needs_no_library_of_the_analysis(library: str) -> None:
+    """`adaptdrive[sim]` alone, as in an environment for the simulators."""
+    program = f"import sys; sys.modules[{library!r}] = None; import adaptdrive_sim.demo.main"
+    subprocess.run([sys.executable, "-c", program], check=True)
