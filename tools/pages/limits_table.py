@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from adaptdrive.config import load_configuration
-from adaptdrive.safety.monitor import Doubt, Verdict
+from adaptdrive.safety.monitor import FACTS, Doubt, Verdict
 from adaptdrive.safety.timing import Timing, timing_of
 from tools.pages.marked import with_part
 
@@ -35,9 +35,9 @@ def fold() -> str:
     """Return the fold as Markdown: doubts, and verdicts."""
     lines = ["| doubt | fact | a trip says | ends with a report that was |", "|---|---|---|---|"]
     for doubt in Doubt:
-        shown = doubt.text.replace("{:.0f}", "…")
-        ends = f"{doubt.ends} after it"
-        lines.append(f"| `{doubt.name}` | {doubt.fact} | … {shown} | {ends} |")
+        shown = doubt.value.replace("{:.0f}", "…")
+        ends = f"{'came' if doubt is Doubt.SILENT else 'asked for'} after it"
+        lines.append(f"| `{doubt.name}` | {FACTS[doubt]} | … {shown} | {ends} |")
     lines += ["", "| verdict | |", "|---|---|"]
     lines += [f"| `{verdict.name}` | {verdict.value} |" for verdict in Verdict]
     return "\n".join([*lines, ""])

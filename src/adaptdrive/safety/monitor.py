@@ -45,39 +45,25 @@ class Verdict(Enum):
 
 
 class Doubt(Enum):
-    """Why a drive may have stopped unseen, as a trip says it; the first that holds is named.
+    """Why a drive may have stopped unseen, as a trip says it; the first that holds is named."""
 
-    Attributes:
-        fact: What a port, or the look of a tick, has seen.
-        ends: Which report ends the doubt.
-    """
+    BUS_LOST = "the bus was lost meanwhile"
+    LEAPT = "its alive counter leapt meanwhile: it may have started anew"
+    STANDS = "its heartbeat stood still meanwhile"
+    UNANSWERED = "a read had no answer meanwhile"
+    ASLEEP = "the daemon had not run for {:.0f} ms"
+    SILENT = "nothing had been heard of it for {:.0f} ms"
 
-    BUS_LOST = "the bus was lost meanwhile", "A bus, a link or a node was lost."
-    LEAPT = (
-        "its alive counter leapt meanwhile: it may have started anew",
-        "An alive counter advanced by more than frames may be lost.",
-    )
-    STANDS = (
-        "its heartbeat stood still meanwhile",
-        "The heartbeat register of a drive that is polled has not advanced for its time-out.",
-    )
-    UNANSWERED = (
-        "a read had no answer meanwhile",
-        "A drive that is polled has answered no read and taken no command for `silent_s`.",
-    )
-    ASLEEP = (
-        "the daemon had not run for {:.0f} ms",
-        "Two looks of the fast loop were further apart than `asleep_s`.",
-    )
-    SILENT = (
-        "nothing had been heard of it for {:.0f} ms",
-        "No report of the bridge, or no reading, has come for `silent_s` or `unreported_s`.",
-        "came",
-    )
 
-    def __init__(self, text: str, fact: str, ends: str = "asked for") -> None:
-        self.text, self.fact, self.ends = text, fact, ends
-
+FACTS: Final = {
+    Doubt.BUS_LOST: "A bus, a link or a node was lost.",
+    Doubt.LEAPT: "An alive counter advanced by more than frames may be lost.",
+    Doubt.STANDS: "The heartbeat register of a drive that is polled did not advance in its time.",
+    Doubt.UNANSWERED: "A drive that is polled answered no read and took no command for `silent_s`.",
+    Doubt.ASLEEP: "Two looks of the fast loop were further apart than `asleep_s`.",
+    Doubt.SILENT: "No report of the bridge, or no reading, came for `silent_s` or `unreported_s`.",
+}
+"""What a port, or the look of a tick, has seen."""
 
 _SILENT: Final = Doubt.SILENT
 
@@ -257,7 +243,7 @@ class Monitor:
             return None
         why = next((one for one in Doubt if one in self._doubts), None)
         if why is not None:
-            hidden = f"; {why.text.format(self._doubts[why][1] * 1e3)}"
+            hidden = f"; {why.value.format(self._doubts[why][1] * 1e3)}"
         else:
             waited_ms = self._switched_on_s * 1e3
             hidden = "" if self._been_on else f"; it has not come on within {waited_ms:.0f} ms"
