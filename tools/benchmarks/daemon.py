@@ -45,7 +45,7 @@ def _shares(how: str, census: Census) -> Iterator[Row]:
     met = own <= LARGEST_RATIO * census.script_share
     target = f"at most {LARGEST_RATIO:g} times"
     yield Row(name, own, "%", census.script_share, SCRIPT, target, met)
-    yield Row(name, own, "%", census.echo_share, "bare-socket echo in Python")
+    yield Row(f"{name}, echo", own, "%", census.echo_share, "bare-socket echo in Python")
 
 
 def _start() -> Row:
