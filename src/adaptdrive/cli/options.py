@@ -8,7 +8,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -307,37 +307,39 @@ class Contact:
         """
         from adaptdrive.mqtt.connection import Broker  # noqa: PLC0415 - `--help` needs none
 
-        host, port, tls, ca_file = _BROKER if self.config is None else _broker_in(self.config)
-        tls = self.tls or (tls and self.broker is None)
+        known = Broker() if self.config is None else _broker_in(self.config)
+        tls = self.tls or (known.tls and self.broker is None)
+        host, port = known.host, known.port
         if self.broker is not None:
             host, port = read_address(self.broker, _TLS_PORT if tls else _PORT)
         elif self.config is None and tls:
             port = _TLS_PORT
-        ca_file = self.ca_file or (ca_file if tls else None)
+        ca_file = self.ca_file or (known.ca_file if tls else None)
         return Broker(host, port, tls, ca_file, self.username, self.password_file)
 
 
-_MQTT_KEYS = "host", "port", "tls", "ca_file"
-_BROKER = "127.0.0.1", _PORT, False, None
+_MQTT_KEYS = frozenset({"host", "port", "tls", "ca_file"})
 
 
-def _broker_in(path: Path) -> tuple[str, int, bool, Path | None]:
-    """Return host, port, TLS and authority from the section `[mqtt]` of a configuration.
+def _broker_in(path: Path) -> Broker:
+    """Return the broker in the section `[mqtt]` of a configuration, without its login.
 
     The other sections are not looked at: a stop needs none of them.
 
     Raises:
         ConfigurationError: The file cannot be read, or the section not be used.
     """
+    from adaptdrive.mqtt.connection import Broker  # noqa: PLC0415 - `--help` needs none
     from adaptdrive.util.files import read_regular  # noqa: PLC0415 - few commands need it
 
     with suppress(OSError, ValueError, TypeError, AttributeError):
         table = tomllib.loads(read_regular(path).decode("utf-8-sig")).get("mqtt", {})
-        host, port, tls, ca_file = map(table.get, _MQTT_KEYS, _BROKER)
-        read_address(f"[{host}]:{port}" if ":" in host else f"{host}:{port}")
-        if (type(port), type(tls)) == (int, bool):
-            return host, port, tls, ca_file and path.parent / ca_file
+        found = Broker(**{key: table[key] for key in _MQTT_KEYS & table.keys()})
+        host = f"[{found.host}]" if ":" in found.host else found.host
+        read_address(f"{host}:{found.port}")
+        if (type(found.port), type(found.tls)) == (int, bool):
+            return replace(found, ca_file=found.ca_file and path.parent / found.ca_file)
     from adaptdrive.config.file import load_configuration  # noqa: PLC0415 - few commands need it
+    from adaptdrive.mqtt.service import broker_of  # noqa: PLC0415 - as above
 
-    known = load_configuration(path).mqtt  # raises what is wrong, with its place
-    return known.host, known.port, known.tls, known.ca_file
+    return broker_of(load_configuration(path).mqtt)  # raises what is wrong, with its place

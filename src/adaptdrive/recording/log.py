@@ -208,9 +208,9 @@ class Log:
 
     # -- from the threads to the event loop, which may have ended --------------------------------
 
-    def _tell(self, take: Callable[..., None], *told: object) -> None:
+    def _report(self, take: Callable[..., None], *values: object) -> None:
         def taken() -> None:
-            take(*told)
+            take(*values)
             self._changed.set()
             self._changed = asyncio.Event()
 
@@ -218,10 +218,10 @@ class Log:
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(taken)
 
-    def _tell_problem(self, what: str, why: str) -> None:
+    def _report_problem(self, what: str, why: str) -> None:
         if self.problems[what] != why:
             self.problems[what] = why
-            self._tell(self._on_problem, what, why)
+            self._report(self._on_problem, what, why)
 
     def _take_sync(self, notes: int) -> None:
         self._notes_synced, self._in_vain_s = notes, 0.0
@@ -237,15 +237,15 @@ class Log:
             descriptor, notes = self._syncs.get()
             if descriptor is None:
                 self.closed = True
-                return self._tell(self._take_sync, notes)
+                return self._report(self._take_sync, notes)
             if notes is None or self._syncs.empty():  # a later sync of a file serves those before
                 try:
                     os.fdatasync(descriptor)
-                    self._tell_problem(SYNC, "")
+                    self._report_problem(SYNC, "")
                 except OSError as failure:
-                    self._tell_problem(SYNC, str(failure))
+                    self._report_problem(SYNC, str(failure))
                 if notes is not None:
-                    self._tell(self._take_sync, notes)
+                    self._report(self._take_sync, notes)
             if notes is None:
                 with contextlib.suppress(OSError):
                     os.close(descriptor)
@@ -339,7 +339,7 @@ class Log:
                 self._part, self._part_began_s = self._part + 1, now_s
             self._begin_file()
             if due:
-                self._tell(self._on_segment, self._part)
+                self._report(self._on_segment, self._part)
 
     def _begin_file(self) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -384,7 +384,7 @@ class Log:
             act()
         except Exception as problem:  # noqa: BLE001 - reported; nobody else would notice
             why = (isinstance(problem, OSError) and str(problem)) or repr(problem)
-        self._tell_problem(what, why)
+        self._report_problem(what, why)
         if why and self._closing.wait(_PAUSE_S):
             time.sleep(_PAUSE_S / 10.0)  # keep a broken disk from taking the processor
         return not why

@@ -2,7 +2,7 @@
 
 A port reports each fact once, with its time: what the drive says of its bridge, what it was
 commanded, what it may have received and has taken, a lost bus, a counter that leapt, another
-sender. The verdict tells whether the drive may be driven on. Five rules make it:
+sender. The verdict is whether the drive may be driven on. Five rules make it:
 
 1. Off by a drive that has come on by command is a stop. While its contact switches, off may be a
    bounce: what energises waits for the report of the next reading, which decides.
@@ -152,8 +152,10 @@ class Monitor:
             came_s: When the frame came.
         """
         self.powered = self.powered or on
-        if self._commanded:
-            self._note_on(came_s) if on else self._note_off(came_s)
+        if self._commanded and on:
+            self._note_on(came_s)
+        elif self._commanded:
+            self._note_off(came_s)
 
     def doubt(self, why: Doubt, until_s: float, span_s: float = 0.0) -> None:
         """Note a time in which a drive that is driven may have stopped unseen.
@@ -163,7 +165,7 @@ class Monitor:
             until_s: End of that time.
             span_s: Its length, where the reason has one.
         """
-        if self._commanded and (self.given or self._been_on):
+        if self._commanded and self._is_driven:
             longest_s = max(span_s, self._doubts.get(why, (0.0, 0.0))[1])
             self._doubts[why] = until_s, longest_s
 
@@ -326,8 +328,13 @@ class Monitor:
 
     def _is_silent(self, now_s: float) -> bool:
         """Return whether the bridge was not reported for as long as a stop takes."""
-        driven = (self.given or self._been_on) and self.slack_s is not None
+        driven = self._is_driven and self.slack_s is not None
         return driven and now_s - self._came_s > self._unreported_s
+
+    @property
+    def _is_driven(self) -> bool:
+        """True if a command may have it on, or has had: what was sent since does not matter."""
+        return self.given or self._been_on
 
     def _note_passed(self, now_s: float, unwatched_s: float, heard_s: float) -> None:
         """Note a time in which nobody looked, or in which nothing came."""

@@ -63,11 +63,11 @@ def test_what_the_controller_knows_to_come_does_come() -> None:
     waved = [one for one in drive.kept.ticks if one.order.waveform]  # another test may go on
     tick_s = 1.0 / 120.0
     for earlier in (0, 1, 119, 120, 7000):
-        told = waved[-1 - earlier]
+        shown = waved[-1 - earlier]
         known = waved[-1].order.waveform
         assert known is not None
-        elapsed_s = (told.measurement.tick - known.begin_tick) * tick_s
-        assert known.waveform.value(elapsed_s) == told.order.reference
+        elapsed_s = (shown.measurement.tick - known.begin_tick) * tick_s
+        assert known.waveform.value(elapsed_s) == shown.order.reference
 
 
 def test_a_set_point_ends_what_the_controller_knows_to_come() -> None:

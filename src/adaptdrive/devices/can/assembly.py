@@ -148,7 +148,7 @@ class StatusAssembly:
         expected = () if whole else status.sources
         refused = [one.quantity for one in expected if one.quantity not in values]
         self.newest.keep(values, arrival_s, refused)
-        return values[BRIDGE] != 0.0 if BRIDGE in values else None
+        return _reported(values)
 
     def look_at(self, status: StatusFrame, found: Mapping[str, float]) -> bool | None:
         """Keep the faults of a message that may be an old one; return its bridge, None for none.
@@ -159,7 +159,7 @@ class StatusAssembly:
         """
         values = self._quantities(status, found)
         self.newest.faults.see(values)
-        return values[BRIDGE] != 0.0 if BRIDGE in values else None
+        return _reported(values)
 
     def _quantities(self, status: StatusFrame, found: Mapping[str, float]) -> dict[str, float]:
         """Return the values of a message by quantity; the bridge is 1 while it is on."""
@@ -179,6 +179,11 @@ class StatusAssembly:
         """
         quantity, oldest_s, newest_s = self.newest.oldest()
         return *self._sources[quantity], oldest_s, newest_s
+
+
+def _reported(values: Mapping[str, float]) -> bool | None:
+    """Return whether the bridge is on by some values, None where none of them is its report."""
+    return values[BRIDGE] != 0.0 if BRIDGE in values else None
 
 
 # Frames that a port could not use, kept for reports: which, why, and how often.

@@ -17,7 +17,7 @@ from adaptdrive.devices.polled.link import ExchangeError, OvertakenError, Polled
 from adaptdrive.devices.polled.mapping import Named, Poll, explain, written
 from adaptdrive.devices.polled.registers import Block, Exchange
 from adaptdrive.devices.port import Listener
-from adaptdrive.safety.monitor import Monitor
+from adaptdrive.safety.monitor import Doubt, Monitor
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import BusError
@@ -260,6 +260,6 @@ class Port(Polling[PolledLink, Listener]):
         alive = self._assembly.is_alive(start_s)
         if alive is False:
             self._counts["counter_stuck"] += 1
-            self._history.note_standing_heartbeat()
+            self.monitor.doubt(Doubt.STANDS, self._clock())  # its controller hangs
             self._failure = Trip(TripKind.HEARTBEAT_STANDS, reports.STANDS_STILL)
         return alive is True

@@ -329,7 +329,7 @@ class Commander:
     def _begin_write(self, command: Command) -> None:
         """Mark the drive's command as unknown, from the first byte sent until the reply."""
         self._written = None
-        self._history.attempt(command)
+        self.monitor.offer(command)
 
     def _confirm(self, command: Command, asked_s: float, *, sent: bool = True) -> None:
         self._counts["sent"] += sent

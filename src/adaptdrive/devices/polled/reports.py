@@ -60,10 +60,6 @@ class PollHistory:
         self._monitor.command(command)
         self._outdated = False
 
-    def attempt(self, command: Command) -> None:
-        """Note that the drive may receive a command from now on."""
-        self._monitor.offer(command)
-
     def take(self, command: Command, asked_s: float) -> None:
         """Note that the drive has acknowledged a command, which was sent at `asked_s`."""
         self.bridge, self.fed_s = command.bridge, asked_s
@@ -86,10 +82,6 @@ class PollHistory:
         """Note that nothing came; never after a reply, which would end the doubt of before."""
         if self.silent and self._may_have_timed_out:
             self._monitor.doubt(Doubt.UNANSWERED, self._clock())
-
-    def note_standing_heartbeat(self) -> None:
-        """Note that the controller of the drive hangs, whatever else it answers."""
-        self._monitor.doubt(Doubt.STANDS, self._clock())
 
     def note_bridge(self, *, powered: bool) -> None:
         """Note whether the drive reports its bridge on, or is assumed to have it on."""
