@@ -21,7 +21,10 @@ too: at rest, where its last digit is coarse. The input distinguishes them. From
 which the output came to stand, the model of the load predicts how far the *change* of the input
 since then must have moved it:
 
-    Δy = G(s) Δu,   Δu = u - u(then)
+    Δy = G(s) Δu,   Δu = u - ū(then)
+
+The mean input ū of the last third of a lag stands for the input: noise may have it at one of its
+limits at that moment.
 
 An honest value that was to move by many of its digits has moved by one at least; a frozen one has
 not. The input as such does not matter, so that neither a wrong gain of the model nor a constant
@@ -229,6 +232,10 @@ _COARSEST = 3.0
 """Distances that a coarse value must have been moved by at the most, where its digit is not known:
 the smallest change that was seen may be larger than a digit."""
 
+_MEAN_SHARE = 1.0 / 3.0
+"""Time constant of the mean input, as a share of the longest lag: a whole lag would be the model's
+own movement, which ends late where the load has less inertia than its model."""
+
 
 @dataclass(frozen=True, slots=True)
 class StillnessLimits(OutputModel):
@@ -297,7 +304,8 @@ class Stillness:
         self._output = math.nan
         self._digit = math.inf
         self._since_s = self._last_s = 0.0
-        self._input = 0.0
+        self._input = self._mean = 0.0
+        self._mean_s = _MEAN_SHARE * max(limits.lags_s)
         self._stages = [0.0] * len(limits.lags_s)
 
     def forget(self) -> None:
@@ -316,15 +324,16 @@ class Stillness:
             Reason to reject the value, None for no reason.
         """
         limits = self._limits
+        if math.isnan(self._output):
+            self._mean, self._last_s = input_value, arrival_s
+        period_s, self._last_s = arrival_s - self._last_s, arrival_s
+        self._mean += (input_value - self._mean) * -math.expm1(-period_s / self._mean_s)
         if output != self._output:
             self._digit = min(self._digit, abs(output - self._output))
-            self._output, self._input = output, input_value
-            self._since_s = self._last_s = arrival_s
+            self._output, self._input, self._since_s = output, self._mean, arrival_s
             self._stages = [0.0] * len(self._stages)
             return None
-        level, period_s = limits.gain * (input_value - self._input), arrival_s - self._last_s
-        moved = limits.pass_on(self._stages, level, period_s)
-        self._last_s = arrival_s
+        moved = limits.pass_on(self._stages, limits.gain * (input_value - self._input), period_s)
         still_s = arrival_s - self._since_s
         if abs(moved) > self._distance:
             distance = f"{limits.output_name} should have moved by {moved:.3g} {limits.output_unit}"
