@@ -20,6 +20,7 @@ from adaptdrive.util.errors import RefusedError
 
 if TYPE_CHECKING:  # they need libraries that `Drive` does without
     from adaptdrive.analysis.closed_loop import Plant, Simulation
+    from adaptdrive.analysis.model import Model
     from adaptdrive.analysis.record import RecordLoad
     from adaptdrive.commissioning.evaluation import Commissioned
 
@@ -114,6 +115,36 @@ def identify(
 
     view = RecordView(begin_s=begin_s, end_s=end_s, **options)
     return identify_source(source.path if isinstance(source, Tables) else source, view)
+
+
+def model(
+    source: str | Path | Configuration | Tables,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+) -> Model:
+    """Return the model of a load, and the loop that its controller closes.
+
+    The numbers are attributes; `.control("loop")` is a transfer function of python-control,
+    `.scipy("load")` one of scipy, `.margins` has the margins of the loop.
+
+    Args:
+        source: A session (its folder, or its tables): the identified load, and the last recorded
+            gains. A configuration, or its file: its model, and the fixed controller.
+        begin_s: First second of a session that is used, None for the first.
+        end_s: Last second that is used, None for the last.
+
+    Raises:
+        AdaptdriveError: The source cannot be read, or a session does not show its load.
+        ModuleNotFoundError: A library is not installed.
+    """
+    from adaptdrive.analysis import model as models  # noqa: PLC0415 - `Drive` needs none
+
+    if isinstance(source, Configuration):
+        return models.model_of_configuration(source)
+    path = source.path if isinstance(source, Tables) else Path(source)
+    if path.is_file():
+        return models.model_of_configuration(load_configuration(path))
+    return models.model_of_session(path, begin_s, end_s)
 
 
 def simulate(
