@@ -102,9 +102,6 @@ def _zeros(function: Callable[[Any], Array], omega: Array) -> list[float]:
 _DRAWN = 200
 """Loads that are drawn: the ends of 95 % are then known to a tenth of their distance."""
 
-BAND = (2.5, 97.5)
-"""Percentiles at the ends of a band."""
-
 _LEAST_SHARE = 0.05
 """Least share of a parameter that is drawn: physical parameters are positive."""
 

@@ -62,20 +62,39 @@ class SessionView:
 _WHOLE = SessionView()
 
 
-def plot(session: str | None = None, /, *, view: SessionView = _WHOLE) -> int:
+def plot(
+    session: str | None = None,
+    /,
+    *,
+    bode: options.Flag = False,
+    view: SessionView = _WHOLE,
+) -> int:
     """Draw a session: a PNG, and a report as one HTML file.
 
     Args:
         session: Folder of the session, or its name below the sessions of this machine; the last one
             when left out.
+        bode: Draw bode.png instead: the open-loop response of the identified load with the last
+            gains, its margins, and what the covariance of the load leaves open.
         view: Part of the session, and the form of the result.
     """
+    if bode:
+        return _plot_loop(opened(session).path, view)
     with options.needing("analysis"):
         from adaptdrive.analysis.figures import plot as plot_session  # noqa: PLC0415 - it is large
     path = opened(session).path
     figure, report = plot_session(path, view.begin, view.end, view.folder(path))
     files = {"figure": str(figure), "report": str(report)}
     return view.present(f"{figure}\n{report}", files, report)
+
+
+def _plot_loop(path: Path, view: SessionView) -> int:
+    with options.needing("analysis"):
+        from adaptdrive.analysis import bode, model  # noqa: PLC0415 - they are large
+    figure = view.folder(path) / "bode.png"
+    spread = bode.spread_of(model.model_of_session(path, view.begin, view.end))
+    replace_result(figure, bode.draw_loop(spread))
+    return view.present(f"{bode.as_text(spread)}\n\n{figure}", bode.as_json(spread), figure)
 
 
 @Parameter(name="*")
