@@ -15,7 +15,7 @@ top of those that are in B.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.signal import TransferFunction, freqz
+from scipy.signal import TransferFunction, freqz, tf2ss
 
 from adaptdrive.analysis.curves import Array, find_window, rows_within
 from adaptdrive.analysis.record import identify_session
@@ -310,3 +310,40 @@ def _model(
         r=(1.0, *gains[:taps]),
         s=tuple(gains[taps:]),
     )
+
+
+# The text of a model for MATLAB and its Control System Toolbox.
+
+_SYMBOLS: dict[Part, tuple[str, str]] = {
+    "load": ("H", "load, from its input u to the output"),
+    "sampled": ("G", "load at the slow period, with every delay of the loop"),
+    "controller": ("C", "feedback S/R, from the error to u"),
+    "loop": ("L", "open loop G C"),
+}
+
+
+def as_matlab(model: Model) -> str:
+    """Return a script that makes each part of a model as `tf`, and as `ss`: `L` and `L_ss`."""
+    rows = [f"% {model.name}, in SI units; u = {model.load.input_gain:.9g}"]
+    rows[0] += f" * v^{model.load.input_exponent}, v what the drive gives"
+    rows += [
+        f"% {name} = {one.value:.9g}, deviation {one.std:.3g}"
+        for name, one in model.parameters.items()
+    ]
+    for part, (symbol, meaning) in _SYMBOLS.items():
+        numerator, denominator = model.polynomials(part)
+        pace = f", {model.period_s!r}"
+        if part == "load":
+            pace = f", 'InputDelay', {model.load.delay_s!r}" if model.load.delay_s else ""
+        matrices = tf2ss(numerator, denominator)
+        rows += [
+            f"% {symbol}: {meaning}",
+            f"{symbol} = tf({_matrix([numerator])}, {_matrix([denominator])}{pace});",
+            f"{symbol}_ss = ss({', '.join(_matrix(one) for one in matrices)}{pace});",
+        ]
+    return "\n".join(rows) + "\n"
+
+
+def _matrix(rows: Iterable[Iterable[float]]) -> str:
+    """Return a matrix with every digit of its numbers."""
+    return f"[{'; '.join(' '.join(repr(float(one)) for one in row) for row in rows)}]"

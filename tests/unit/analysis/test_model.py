@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
 from adaptdrive import lab
-from adaptdrive.analysis.model import Model, Part, loop_margins, model_of_estimates
+from adaptdrive.analysis.curves import Array
+from adaptdrive.analysis.model import Model, Part, as_matlab, loop_margins, model_of_estimates
 from adaptdrive.analysis.record import identify_session
+from adaptdrive.cli import main
 from adaptdrive.config import load_configuration
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.signals import Estimate
@@ -99,6 +104,48 @@ def test_python_control_and_scipy_take_each_part(model: Model, part: Part) -> No
     )
     at = omega if part == "load" else omega * model.period_s
     assert model.scipy(part).freqresp(at)[1] == pytest.approx(theirs, rel=1e-9)
+
+
+def matrix(text: str) -> Array:
+    return np.array([[float(one) for one in row.split()] for row in text.split(";")])
+
+
+def read_matlab(text: str, name: str) -> list[Any]:
+    """Arguments of the call that makes a system, matrices as arrays."""
+    (call,) = re.findall(rf"^{name} = (?:tf|ss)\((.*)\);$", text, re.MULTILINE)
+    words = re.findall(r"\[[^]]*\]|[^, ]+", call)
+    return [matrix(one[1:-1]) if one[0] == "[" else one for one in words]
+
+
+@pytest.mark.parametrize("part", ["load", "sampled", "controller", "loop"])
+def test_the_text_for_matlab_has_the_response_of_each_part(model: Model, part: Part) -> None:
+    name = {"load": "H", "sampled": "G", "controller": "C", "loop": "L"}[part]
+    text = as_matlab(model)
+    transfer, states = read_matlab(text, name), read_matlab(text, f"{name}_ss")
+    omega = np.geomspace(1e-4, 0.99, 50) * math.pi / model.period_s
+    at = 1j * omega if part == "load" else np.exp(1j * omega * model.period_s)
+    numerator, denominator = (np.ravel(one) for one in transfer[:2])
+    expected = np.polyval(numerator, at) / np.polyval(denominator, at)
+    a, b, c, d = states[:4]
+    found = [(c @ np.linalg.solve(z * np.eye(len(a)) - a, b) + d).item() for z in at]
+    assert found == pytest.approx(expected, rel=1e-6)
+    if part == "loop":
+        assert expected == pytest.approx(model.response(omega), rel=1e-9)
+    assert transfer[2:] == states[4:] == ([] if part == "load" else [repr(model.period_s)])
+
+
+def test_export_writes_the_model(
+    session_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], of_session: Model
+) -> None:
+    assert main(["export", str(session_path), "--model", "--into", str(tmp_path)]) == 0
+    script = Path(capsys.readouterr().out.strip())
+    assert script.stem.isidentifier()
+    text = script.read_text(encoding="utf-8")
+    late = replace(of_session, load=replace(of_session.load, delay_s=0.25))
+    assert text == as_matlab(of_session)
+    assert read_matlab(as_matlab(late), "H")[2:] == ["'InputDelay'", "0.25"]
+    assert main(["export", str(session_path)]) == 2
+    assert "--to or --model" in capsys.readouterr().err
 
 
 def test_the_held_model_is_that_of_scipy(model: Model) -> None:
