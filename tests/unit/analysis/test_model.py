@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -93,6 +94,14 @@ def test_the_loop_of_a_motor_has_the_margins_of_python_control(of_session: Model
         found = one.margins
         assert (found.gain, found.phase_deg) == pytest.approx((gain, phase_deg), rel=1e-6)
         assert (found.gain_rad_per_s, found.phase_rad_per_s) == pytest.approx((gain_at, phase_at))
+
+
+def test_without_python_control_the_error_names_the_extra(
+    model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'adaptdrive\[control\]'"):
+        model.control("loop")
 
 
 @needs_control
