@@ -88,5 +88,5 @@ async def test_a_shell_has_the_drive_at_hand(mosquitto: Broker, tmp_path: Path) 
     assert process.returncode == 0, said
     assert "alpha: standby, speed 3.1 V\n" in said
     assert "Out[2]: 3.1 V" in said
-    assert ": setpoint 9.0 is outside 0…4.0" in said
+    assert " setpoint 9.0 is outside 0…4.0" in said
     assert "Traceback" not in said
