@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete
+from scipy.signal import cont2discrete, lfilter
+from scipy.stats import nbinom
 
 from adaptdrive import lab
 from adaptdrive.analysis.curves import Array
@@ -20,6 +21,7 @@ from adaptdrive.analysis.model import Model, Part, as_matlab, loop_margins, mode
 from adaptdrive.analysis.record import identify_session
 from adaptdrive.cli import main
 from adaptdrive.config import load_configuration
+from adaptdrive.control.design.pole_placement import Plant, reference_lead
 from adaptdrive.control.loads.discretise import held_model
 from adaptdrive.control.signals import Estimate
 from adaptdrive.recording.reader import read_session
@@ -201,3 +203,34 @@ def test_the_model_of_published_estimates_has_their_load_and_gains() -> None:
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx([0.1] * 3)
     with pytest.raises(IdentificationError, match="no gain"):
         model_of_estimates(configuration, {}, gains)
+
+
+def settling_periods(pole: float, count: int) -> int:
+    """Slow periods until a step behind equal poles, one period late, is within 2 %.
+
+    Its impulse response is the negative binomial distribution.
+    """
+    return 2 + int(np.flatnonzero(nbinom.sf(np.arange(1000), count, 1.0 - pole) > 0.02)[-1])
+
+
+def settled(name: str, pole: float) -> int:
+    """The same of the fixed controller's loop around the load of an example."""
+    configuration = load_configuration(EXAMPLE.with_name(f"{name}.toml"))
+    section = configuration.load.model_copy(update={"pole": pole})
+    model = lab.model(configuration.model_copy(update={"load": section}))
+    led = np.ones(1000)
+    led[0] += reference_lead(model.settings, model.load)
+    loop = Plant(list(model.a), list(model.b)).closed([*model.r[1:], *model.s])
+    output = lfilter(sum(model.s) * np.array(model.b), loop, led)
+    return 1 + int(np.flatnonzero(np.abs(output - 1.0) > 0.02)[-1])
+
+
+def test_the_table_of_poles_has_their_settling_times() -> None:
+    page = (EXAMPLE.parents[2] / "docs" / "own-drive.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (0\.\d+) \| (\d+) \| (\d+) \| (\d+) \|$", page, re.MULTILINE)
+    assert len(rows) == 6
+    for pole, *periods in rows:
+        for count, shown in zip((1, 2, 4), periods, strict=True):
+            assert int(shown) == settling_periods(float(pole), count)
+        for name, shown in zip(("battery", "bath", "motor"), periods, strict=True):
+            assert 0 <= settled(name, float(pole)) - int(shown) <= 1
