@@ -77,7 +77,7 @@ async def test_a_shell_has_the_drive_at_hand(mosquitto: Broker, tmp_path: Path) 
             stderr=asyncio.subprocess.STDOUT,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "IPYTHONDIR": str(tmp_path)},
         )
-        typed = b"drive.setpoint(2.5)\ndrive.output\ndrive.setpoint(9)\nexit\n"
+        typed = b"drive.setpoint(2.5)\ndrive.output\ndrive.setpoint(9)\ndrive.live(0.5)\nexit\n"
         ending = asyncio.create_task(process.communicate(typed))
         while not ending.done():
             bench.hub.publish(drive_report(600))
@@ -89,4 +89,5 @@ async def test_a_shell_has_the_drive_at_hand(mosquitto: Broker, tmp_path: Path) 
     assert "alpha: standby, speed 3.1 V\n" in said
     assert "Out[2]: 3.1 V" in said
     assert " setpoint 9.0 is outside 0…4.0" in said
+    assert "Image object" in said
     assert "Traceback" not in said
