@@ -32,6 +32,7 @@ _UNITS = {one.name: one.unit for one in (*TICK_COLUMNS, *SLOW_COLUMNS)} | {
     "voltage_V": "v",
     "age_s": "s",
 }
+_SLOW = {one.name for one in SLOW_COLUMNS}
 _SLOW_PERIODS = 3.0
 """Age in slow periods up to which the values of the last one are fresh."""
 
@@ -110,10 +111,13 @@ class Published:
         """Return a value.
 
         Raises:
-            NoAnswerError: It is of an earlier time.
+            NoAnswerError: It is of an earlier time, or the first one is still to come.
             KeyError: There is none of that name.
         """
-        part, key = _places(self._parts)[name]
+        places = _places(self._parts)
+        if name not in places and name.removesuffix("_load") in _SLOW and not self.flaw():
+            raise NoAnswerError(self._drive, f"{name}: no slow period has passed yet")
+        part, key = places[name]
         if flaw := self.flaw(part):
             raise NoAnswerError(self._drive, flaw)
         return self._read(self._parts[part], key)
@@ -231,7 +235,7 @@ class ConnectedDrive:
     def wait_until(
         self, condition: Callable[[ConnectedDrive], object], timeout_s: float = 60.0
     ) -> None:
-        """Wait until a condition holds.
+        """Wait until a condition holds; values of a slow period may be still to come.
 
         Args:
             condition: Called with the drive at each message, as
@@ -242,7 +246,16 @@ class ConnectedDrive:
             TimeoutError: It did not hold in time; the message says what the drive did.
             NoAnswerError: The drive went silent.
         """
-        self._wait(lambda: condition(self), timeout_s)
+
+        def holds() -> object:
+            try:
+                return condition(self)
+            except NoAnswerError:
+                if self._published.flaw():
+                    raise
+                return False  # a drive that starts has no slow period yet
+
+        self._wait(holds, timeout_s)
 
     def send(self, verb: str, value: object = None, **fields: object) -> Reply:
         """Send any command.

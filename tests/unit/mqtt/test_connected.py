@@ -119,6 +119,17 @@ def test_a_slow_period_of_an_earlier_run_is_old(
             published.value("reference")
 
 
+def test_a_slow_period_that_is_still_to_come_is_no_unknown_name(clock: Clock) -> None:
+    made = Published("pump", clock)
+    made.take("availability", {"availability": "online"})
+    measure(made)
+    for name in ("estimates", "output_load"):
+        with pytest.raises(NoAnswerError, match="no slow period has passed yet"):
+            made.value(name)
+    with pytest.raises(KeyError):
+        made.value("speeed")
+
+
 def test_a_refusal_has_reason_kind_and_remedy() -> None:
     reply = contract.Reply("7", "enable", False, "it is tripped", State.TRIPPED, "over-voltage")
     with pytest.raises(RefusedError, match=r"it is tripped\nwhat to do: \w") as refused:
