@@ -140,16 +140,27 @@ class Published:
                 return f"its last slow period ended {behind_s:.1f} s ago: it does not run"
         return ""
 
+    @property
+    def summary(self) -> str:
+        """State and output in a few words, or why they are not known."""
+        if flaw := self.flaw():
+            return flaw
+        state, drive = self._parts.get("state", {}), self._parts["drive"]
+        words = f"{state.get('trip') or state.get('state')}, {drive.get('output_name')}"
+        return f"{commands.printable(words)} {self._read(drive, 'output')!r}"
+
     def _read(self, content: Mapping[str, Any], key: str) -> Any:  # noqa: ANN401 - as `value`
-        found, state = content[key], self._parts.get("state", {})
-        units = str(commands.part(state, "output").get("unit") or ""), commands.given_in(state).unit
+        found, state = content.get(key), self._parts.get("state", {})
+        output = commands.printable(commands.part(state, "output").get("unit") or "")
+        units = output, commands.given_in(state).unit
         if key == "estimates":
+            found = commands.part(content, key)
             return {name: _estimate(name, found, units) for name in found}
         if key not in _UNITS or not isinstance(found, int | float | None):
             return found
         unit = {"y": units[0], "v": units[1], "u": ""}.get(_UNITS[key], _UNITS[key])
         plain = isinstance(found, bool | int) and not unit
-        return found if plain else Value(math.nan if found is None else found, unit)
+        return found if plain else Value(commands.number(found), unit)
 
 
 def _places(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[str, str]]:
@@ -163,7 +174,8 @@ def _places(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[str, str]
 
 
 def _estimate(name: str, estimates: dict[str, Any], units: tuple[str, str]) -> Value:
-    found, (_, unit) = estimates[name], commands.quantity_and_unit(name, estimates, *units)
+    found = commands.part(estimates, name)
+    _, unit = commands.quantity_and_unit(name, estimates, *units)
     return Value(commands.number(found.get("value")), unit, commands.number(found.get("std")))
 
 
@@ -308,9 +320,7 @@ class ConnectedDrive:
         return self.send("reset")
 
     def __repr__(self) -> str:
-        if flaw := self._published.flaw():
-            return f"{self._name}: {flaw}"
-        return f"{self._name}: {self.trip or self.state}, {self.output_name} {self.output!r}"
+        return f"{self._name}: {self._published.summary}"
 
     def _repr_html_(self) -> str:
         """Return a table of all values that are fresh, for a notebook."""

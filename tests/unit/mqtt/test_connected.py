@@ -130,6 +130,23 @@ def test_a_slow_period_that_is_still_to_come_is_no_unknown_name(clock: Clock) ->
         made.value("speeed")
 
 
+def test_whatever_a_client_publishes_is_shown_without_harm(published: Published) -> None:
+    state = {"state": "\x1b[2J", "output": {"unit": "\x07V"}, "manipulated": 3}
+    published.take("state", state)
+    now = {"time": NOW.isoformat()}
+    content = {"estimates": {"gain": 7}, "reference": 10**400, "innovation": "<b>"}
+    published.take("telemetry/load", now | content)
+    published.take("telemetry/drive", now | {"output": 3.0, "output_name": "\x1b[2J"})
+    drive = object.__new__(ConnectedDrive)
+    drive.__dict__.update(_name="pump", _published=published)
+    assert repr(drive) == "pump: ?[2J, ?[2J 3 ?V"
+    assert repr(drive.estimates["gain"]) == "nan ?V/V"
+    assert math.isnan(drive.reference)
+    table = drive._repr_html_()
+    assert table.isprintable()
+    assert "<b>" not in table
+
+
 def test_a_refusal_has_reason_kind_and_remedy() -> None:
     reply = contract.Reply("7", "enable", False, "it is tripped", State.TRIPPED, "over-voltage")
     with pytest.raises(RefusedError, match=r"it is tripped\nwhat to do: \w") as refused:
