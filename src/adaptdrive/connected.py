@@ -85,7 +85,7 @@ class Published:
         self.problem = ""
         self.course: deque[tuple[float, float, float]] = deque(maxlen=_SHOWN)
         self._drive, self._clock = drive, clock
-        self._online = False
+        self._online: bool | None = None
         self._arrived_s = -math.inf
         self._parts: dict[str, dict[str, Any]] = {}
 
@@ -131,8 +131,9 @@ class Published:
         age_s = self._clock() - self._arrived_s
         if not self._online or age_s > LIVE_S:
             lost = f" ({self.problem})" if self.problem else ""
-            since = f"its last telemetry is {age_s:.1f} s old" if age_s < math.inf else "silent"
-            return f"{since if self._online else 'its daemon is offline'}{lost}"
+            old = f"its last telemetry is {age_s:.1f} s old" if age_s < math.inf else "no telemetry"
+            since = {True: old, False: "its daemon is offline", None: "no answer"}[self._online]
+            return f"{since}{lost}"
         if part == "load":
             behind_s = _time_s(self._parts["drive"]) - _time_s(self._parts["load"])
             period_s = commands.number(self._parts["load"].get("period_s"))
