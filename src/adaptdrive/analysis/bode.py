@@ -128,7 +128,7 @@ def draw_loop(spread: LoopSpread) -> bytes:
 def _draw_curve(axes: Axes, spread: LoopSpread, row: int) -> None:
     low, high = BAND
     if len(spread.band):
-        label = f"{high - low:g} % of the loads within the covariance"
+        label = f"{high - low:g} % within the covariance"
         color = figures.ADAPTIVE["color"]
         ends = spread.band[:, row]
         axes.fill_between(spread.rad_per_s, *ends, color=color, alpha=0.2, lw=0, label=label)
