@@ -3,7 +3,7 @@
 
 PYTHON ?= python3
 MINUTES ?= 1
-EXTRAS := sim,canopen,analysis,export,cluster,dev
+EXTRAS := sim,canopen,analysis,control,export,shell,cluster,dev
 DEMO_EXTRAS := sim,analysis
 , := ,
 

@@ -1,6 +1,7 @@
 """The Python interface: recorded sessions, their loads, simulations, and running drives over MQTT.
 
-`docs/python.md` shows it at work. All but `Drive` needs the extra `adaptdrive[analysis]`.
+`docs/python.md` shows it at work. All but `connect` and `Drive` needs the extra
+`adaptdrive[analysis]`.
 """
 
 from __future__ import annotations
@@ -11,15 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 from adaptdrive.config import Configuration, load_configuration
-from adaptdrive.control.signals import Mode
+from adaptdrive.connected import ConnectedDrive, accepted
+from adaptdrive.control.signals import Estimate, Mode
 from adaptdrive.mqtt.client import NoAnswerError, read_status, send_command, telemetry
 from adaptdrive.mqtt.connection import Broker
 from adaptdrive.mqtt.contract import Reply
 from adaptdrive.recording.session import SessionInfo
-from adaptdrive.util.errors import RefusedError
+from adaptdrive.util.errors import ConfigurationError
 
 if TYPE_CHECKING:  # they need libraries that `Drive` does without
     from adaptdrive.analysis.closed_loop import Plant, Simulation
+    from adaptdrive.analysis.model import Model
     from adaptdrive.analysis.record import RecordLoad
     from adaptdrive.commissioning.evaluation import Commissioned
 
@@ -116,6 +119,45 @@ def identify(
     return identify_source(source.path if isinstance(source, Tables) else source, view)
 
 
+def model(
+    source: str | Path | Configuration | Tables | ConnectedDrive,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    config: str | Path | Configuration | None = None,
+) -> Model:
+    """Return the model of a load, and the loop that its controller closes.
+
+    The numbers are attributes; `.control("loop")` is a transfer function of python-control,
+    `.scipy("load")` one of scipy, `.margins` has the margins of the loop.
+
+    Args:
+        source: A session (its folder, or its tables): the identified load, and the last recorded
+            gains. A configuration, or its file: its model, and the fixed controller. A drive from
+            `connect`: its present estimates and gains.
+        begin_s: First second of a session that is used, None for the first.
+        end_s: Last second that is used, None for the last.
+        config: For a drive its configuration, or that file: no message has the delays of the loop.
+
+    Raises:
+        AdaptdriveError: The source cannot be read, a session does not show its load, or a drive
+            does not answer or run.
+        ModuleNotFoundError: A library is not installed.
+    """
+    from adaptdrive.analysis import model as models  # noqa: PLC0415 - `Drive` needs none
+
+    if isinstance(source, ConnectedDrive):
+        if config is None:
+            raise ConfigurationError.of("model", "config", "is needed for a drive: name its file")
+        estimates = {name: Estimate(float(one), one.std) for name, one in source.estimates.items()}
+        return models.model_of_estimates(_configuration(config), estimates, source.gains)
+    if isinstance(source, Configuration):
+        return models.model_of_configuration(source)
+    path = source.path if isinstance(source, Tables) else Path(source)
+    if path.is_file():
+        return models.model_of_configuration(load_configuration(path))
+    return models.model_of_session(path, begin_s, end_s)
+
+
 def simulate(
     config: str | Path | Configuration,
     plant: Plant,
@@ -141,10 +183,14 @@ def simulate(
     """
     from adaptdrive.analysis import closed_loop  # noqa: PLC0415 - see above
 
-    whole = config if isinstance(config, Configuration) else load_configuration(Path(config))
+    whole = _configuration(config)
     wanted = setpoint if callable(setpoint) else lambda _: setpoint
     course = closed_loop.setpoints(whole, wanted, duration_s, Mode(mode))
     return closed_loop.simulate(whole, plant, course)
+
+
+def _configuration(config: str | Path | Configuration) -> Configuration:
+    return config if isinstance(config, Configuration) else load_configuration(Path(config))
 
 
 def commission(
@@ -168,6 +214,20 @@ def commission(
     from adaptdrive.commissioning.run import commission_plant  # noqa: PLC0415 - see above
 
     return commission_plant(Path(config), plant, move, patience_s)
+
+
+def connect(name: str, broker: Broker | None = None, timeout_s: float = 5.0) -> ConnectedDrive:
+    """Connect to a running drive, for a shell, a notebook or a plain script.
+
+    Args:
+        name: Name of the drive.
+        broker: The broker; port 1883 of this machine when None.
+        timeout_s: Longest wait for the drive, and for each reply.
+
+    Raises:
+        NoAnswerError: The broker or the daemon does not answer.
+    """
+    return ConnectedDrive(name, broker or Broker(), timeout_s)
 
 
 class Drive:
@@ -259,7 +319,4 @@ class Drive:
             NoAnswerError: No reply in time, or no broker.
         """
         sending = send_command(self._broker, self._name, verb, value, self._timeout_s, **fields)
-        reply = await sending
-        if not reply.accepted:
-            raise RefusedError(reply.reason, reply.trip_kind or "")
-        return reply
+        return accepted(await sending)

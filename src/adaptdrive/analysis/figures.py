@@ -256,6 +256,28 @@ def _label(axes: Axes, time: float, text: str, color: str) -> None:
     )
 
 
+def draw_course(course: Sequence[tuple[float, float, float]], title: str) -> bytes:
+    """Draw the last measurements of a running drive.
+
+    Args:
+        course: Time in s, output and reference of each.
+        title: Title.
+
+    Returns:
+        A PNG.
+    """
+    time_s, output, reference = np.array(course).reshape(-1, 3).T
+    with journal():
+        figure = Figure(figsize=(WIDTH_in, 2.6), layout="constrained")
+        axes = figure.subplots()
+        axes.plot(time_s - time_s[-1:], reference, label="reference", **REFERENCE)
+        axes.plot(time_s - time_s[-1:], output, label="output", **ADAPTIVE)
+        axes.set_title(title)
+        axes.set_xlabel("time since the last measurement (s)")
+        legend_above(axes, columns=2)
+        return as_png(figure)
+
+
 # Figure and report of a session; the report is one HTML file that needs nothing else.
 
 _MOST_ROWS = 1000

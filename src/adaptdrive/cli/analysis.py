@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import sys
 import webbrowser
 from dataclasses import asdict, dataclass, replace
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from adaptdrive.cli import options
+from adaptdrive.cli import UNUSABLE, options, print_error
 from adaptdrive.cli.sessions import opened
 from adaptdrive.util.errors import ConfigurationError
 from adaptdrive.util.files import replace_result
@@ -62,20 +63,39 @@ class SessionView:
 _WHOLE = SessionView()
 
 
-def plot(session: str | None = None, /, *, view: SessionView = _WHOLE) -> int:
+def plot(
+    session: str | None = None,
+    /,
+    *,
+    bode: options.Flag = False,
+    view: SessionView = _WHOLE,
+) -> int:
     """Draw a session: a PNG, and a report as one HTML file.
 
     Args:
         session: Folder of the session, or its name below the sessions of this machine; the last one
             when left out.
+        bode: Draw bode.png instead: the open-loop response of the identified load with the last
+            gains, its margins, and what the covariance of the load leaves open.
         view: Part of the session, and the form of the result.
     """
+    if bode:
+        return _plot_loop(opened(session).path, view)
     with options.needing("analysis"):
         from adaptdrive.analysis.figures import plot as plot_session  # noqa: PLC0415 - it is large
     path = opened(session).path
     figure, report = plot_session(path, view.begin, view.end, view.folder(path))
     files = {"figure": str(figure), "report": str(report)}
     return view.present(f"{figure}\n{report}", files, report)
+
+
+def _plot_loop(path: Path, view: SessionView) -> int:
+    with options.needing("analysis"):
+        from adaptdrive.analysis import bode, model  # noqa: PLC0415 - they are large
+    figure = view.folder(path) / "bode.png"
+    spread = bode.spread_of(model.model_of_session(path, view.begin, view.end))
+    replace_result(figure, bode.draw_loop(spread))
+    return view.present(f"{bode.as_text(spread)}\n\n{figure}", bode.as_json(spread), figure)
 
 
 @Parameter(name="*")
@@ -171,25 +191,44 @@ def export(
     session: str,
     /,
     *,
-    to: Literal["csv", "parquet", "mat", "mdf4", "mcap"],
+    to: Literal["csv", "parquet", "mat", "mdf4", "mcap"] | None = None,
+    model: options.Flag = False,
     into: Path | None = None,
     as_json: options.Json = False,
 ) -> int:
-    """Write a session for another program: CSV, Parquet, MATLAB, MDF 4 or MCAP.
+    """Write a session for another program: CSV, Parquet, MATLAB, MDF 4 or MCAP; or its model.
 
     Args:
         session: Folder of the session, or its name below the sessions of this machine.
         to: Format of the files.
+        model: Write the identified load and the loop of the last gains as `tf` and `ss`, a script
+            for MATLAB.
         into: Folder for the files; the present one when left out.
         as_json: Print JSON: the paths of the files.
     """
-    with options.needing("export"):
-        from adaptdrive.analysis.export import export as export_session  # noqa: PLC0415
+    if not (to or model):
+        return print_error("adaptdrive", "export needs --to or --model", UNUSABLE)
+    path, folder, files = opened(session).path, Path() if into is None else into, list[Path]()
+    if model:
+        files.append(_export_model(path, folder))
+    if to:
+        with options.needing("export"):
+            from adaptdrive.analysis.export import export as export_session  # noqa: PLC0415
 
-        files = export_session(opened(session).path, to, Path() if into is None else into)
-        paths = [str(path) for path in files]
+            files += export_session(path, to, folder)
+    paths = [str(one) for one in files]
     print(dumps(paths) if as_json else "\n".join(paths))
     return 0
+
+
+def _export_model(path: Path, folder: Path) -> Path:
+    with options.needing("analysis"):
+        from adaptdrive.analysis import model  # noqa: PLC0415 - it is large
+    options.refuse_unwritable(folder)
+    name = re.sub(r"\W", "_", f"model_{path.name}")  # one that MATLAB accepts
+    script = folder / f"{name}.m"
+    replace_result(script, model.as_matlab(model.model_of_session(path)).encode())
+    return script
 
 
 # The guided experiment on an unknown load.

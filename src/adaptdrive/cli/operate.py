@@ -14,12 +14,13 @@ from msgspec.structs import asdict as asdict_of
 
 from adaptdrive.cli import UNUSABLE, discard_output, display, print_error
 from adaptdrive.cli.explain import with_kind
-from adaptdrive.cli.options import Contact, DriveName, Number
+from adaptdrive.cli.options import Contact, DriveName, Number, needing
 from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
 from adaptdrive.safety.trips import kind_of, remedy
 
 ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
 _HERE = Contact()
+_SHELL = "drive.<Tab> lists values and commands; drive.setpoint(VALUE); drive.enable(); exit leaves"
 
 
 def setpoint(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:
@@ -263,3 +264,31 @@ def watch(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     refuse_dumb_terminal()
     answered = asyncio.run(watch_drive(contact.settings, drive, contact.timeout))
     return ACCEPTED if answered else NO_ANSWER
+
+
+def shell(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+    """Open a drive in IPython, as `drive`; to leave it changes nothing on the drive.
+
+    Args:
+        drive: Name of the drive.
+        contact: Broker.
+
+    Returns:
+        0, or 3 when the drive does not answer.
+    """
+    with needing("shell"):
+        from IPython import start_ipython  # noqa: PLC0415 - an extra
+    from adaptdrive import lab  # noqa: PLC0415 - no other command needs it
+
+    try:
+        connected = lab.connect(drive, contact.settings, contact.timeout)
+    except NoAnswerError as problem:
+        return print_error("adaptdrive", str(problem), NO_ANSWER)
+    with connected:
+        print(f"{connected!r}\n{_SHELL}")
+        argv = [
+            "--no-banner",
+            "--InteractiveShell.xmode=Minimal",
+        ]  # a refusal is no error of the program
+        start_ipython(argv=argv, user_ns={"drive": connected, "lab": lab})
+    return ACCEPTED

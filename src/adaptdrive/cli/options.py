@@ -38,10 +38,14 @@ _COMMANDS = {
     "plot": (".analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
     "identify": (".analysis", "Identify the load from a session or a CSV file, with error bars."),
     "whatif": (".analysis", "Run a session again in closed loop with other settings."),
-    "export": (".analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
+    "export": (
+        ".analysis",
+        "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP, or its model.",
+    ),
     "commission": (".analysis", "Measure an unknown load on its drive, and propose the settings."),
     "panel": (".desk", "Serve the panel, a web page for a broker's drives, on this machine."),
     "watch": (".operate", "Show a drive live in the terminal, with keys for the commands."),
+    "shell": (".operate", "Open a drive in IPython: its values and its commands by name."),
     "status": (".operate", "Show the state and the telemetry of a drive."),
     "manual": (".operate", "Hold the present V_c until the command voltage."),
 }

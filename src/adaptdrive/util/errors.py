@@ -74,16 +74,18 @@ class BusError(PlacedError):
 
 
 class RefusedError(AdaptdriveError):
-    """An operator's command was not carried out; the reason is the message.
+    """An operator's command was not carried out; the message is the reason, and the remedy.
 
     Attributes:
         kind: Kind of the trip for which it was not, empty for any other reason.
+        remedy: Steps that remove the cause of that trip, empty where none is known.
     """
 
-    def __init__(self, reason: str, kind: str = "") -> None:
+    def __init__(self, reason: str, kind: str = "", remedy: str = "") -> None:
         self.reason = reason
         self.kind = kind
-        super().__init__(reason)
+        self.remedy = remedy
+        super().__init__(f"{reason}\nwhat to do: {remedy}" if remedy else reason)
 
 
 class RecordingError(PlacedError):

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.proof
 
 async def test_the_example_on_a_running_drive_runs(mosquitto: Broker, tmp_path: Path) -> None:
     names: dict[str, Any] = {}
-    exec(examples()[6], names)
+    exec(examples()[1], names)
     broker = connection.Broker(host=mosquitto.host, port=mosquitto.port)
     async with serving(mosquitto, "motor", tmp_path) as bench, asyncio.TaskGroup() as group:
         stepping = group.create_task(names["step"](broker))

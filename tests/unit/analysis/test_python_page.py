@@ -29,7 +29,7 @@ def test_the_examples_on_sessions_run(
     (tmp_path / "session").symlink_to(session_path)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    for code in examples()[:4]:
+    for code in examples()[2:7]:
         exec(code, names)
     said = capsys.readouterr().out
     assert "motor orderly" in said
@@ -67,10 +67,10 @@ def test_the_example_with_a_plant_runs(
         shutil.copy(EXAMPLE.with_name(name), tmp_path)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    exec(examples()[4], names)
+    exec(examples()[7], names)
     assert "adaptive" in capsys.readouterr().out
     first = names["run"]
-    exec(examples()[5], names)
+    exec(examples()[8], names)
     settled = names["run"].ticks.filter(pl.col("time_s") > 60.0)["output"].to_list()
     assert settled == pytest.approx([2.5] * len(settled), abs=0.01)
     held = first.ticks.filter(pl.col("time_s").is_between(410.0, 419.0))

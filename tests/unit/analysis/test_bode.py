@@ -1,0 +1,72 @@
+"""The drawn loop: its margins, and the band that the covariance of the load spreads."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adaptdrive import lab
+from adaptdrive.analysis.bode import LoopSpread, as_text, spread_of
+from adaptdrive.analysis.model import with_parameters
+from adaptdrive.cli import main
+from tests.unit.app.test_replay import EXAMPLE
+
+
+@pytest.fixture(scope="module")
+def spread(session_path: Path) -> LoopSpread:
+    return spread_of(lab.model(session_path))
+
+
+def test_a_gain_that_is_uncertain_moves_the_magnitude_alone() -> None:
+    """Its band is known in closed form: 1.96 deviations of the gain, in dB, at each frequency."""
+    model = lab.model(EXAMPLE)
+    gain = model.parameters["gain"].value
+    covariance = np.zeros((3, 3))
+    covariance[0, 0] = (0.05 * gain) ** 2
+    found = spread_of(replace(model, covariance=covariance))
+    ends = 20.0 * np.log10([1.0 - 1.96 * 0.05, 1.0 + 1.96 * 0.05])
+    for at, expected in zip(found.band, ends, strict=True):
+        assert at[0] - found.curves[0] == pytest.approx(expected, abs=0.2)
+        assert at[1] == pytest.approx(found.curves[1], abs=1e-6)
+    low, high = np.percentile([one.gain for one in found.drawn], (2.5, 97.5))
+    assert low == pytest.approx(found.margins.gain / 1.098, rel=0.03)
+    assert high == pytest.approx(found.margins.gain / 0.902, rel=0.03)
+    assert found.stable == len(found.drawn)
+
+
+def test_the_band_lies_about_the_response_of_the_model(spread: LoopSpread) -> None:
+    low, high = spread.band
+    assert np.all(low <= spread.curves + 1e-9)
+    assert np.all(spread.curves <= high + 1e-9)
+    assert as_text(spread).count(" to ") == 3
+
+
+def test_loads_that_the_controller_does_not_hold_are_counted() -> None:
+    model = lab.model(EXAMPLE)
+    deviations = [one.value for one in model.parameters.values()]
+    found = spread_of(replace(model, covariance=np.diag(np.square(deviations))))
+    assert 0 < found.stable < len(found.drawn)
+    heavier = with_parameters(model.load, [4.0 * deviations[0], *deviations[1:]])
+    assert heavier.gain == pytest.approx(4.0 * model.load.gain)
+
+
+def test_plot_draws_the_open_loop(
+    session_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["plot", str(session_path), "--bode", "--into", str(tmp_path)]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    margins = lab.model(session_path).margins
+    assert re.search(rf"gain margin   {margins.gain:.3g} \(\d.*rad/s", said)
+    assert f"delay margin  {margins.delay_s:.3g} s (" in said
+    assert (tmp_path / "bode.png").read_bytes()[:4] == b"\x89PNG"
+    assert not (tmp_path / "figure.png").exists()
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["margins"]["phase_deg"] == pytest.approx(margins.phase_deg)
+    assert len(found["drawn"]) == 200
