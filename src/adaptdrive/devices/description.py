@@ -17,6 +17,7 @@ from adaptdrive.control.signals import Command
 from adaptdrive.devices.field import Field
 from adaptdrive.safety.facts import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.quantity import MEASURED
 
 # Files that describe a drive: read whole, and never waited for.
 
@@ -125,6 +126,11 @@ def demands_of(configuration: Configuration) -> Demands:
 Item = TypeVar("Item")
 
 
+def is_word(quantity: str) -> bool:
+    """Return whether a quantity is an integer as it stands."""
+    return quantity.partition(".")[0] in bus.WORDS
+
+
 @dataclass(frozen=True, slots=True)
 class Source(Generic[Item]):
     """Source of a quantity.
@@ -156,6 +162,11 @@ class Source(Generic[Item]):
     slack_s: float = 0.0
     cycle_by: str = ""
     cycle_s: float = 0.0
+
+    @property
+    def is_other(self) -> bool:
+        """True for a value that is no quantity and no word."""
+        return not (self.quantity in MEASURED or is_word(self.quantity))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from adaptdrive.devices.binding import BRIDGE
 from adaptdrive.devices.can import database
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.integrity import FrameVerdict
-from adaptdrive.safety.facts import FaultWord
 from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import Flaw
 
@@ -78,26 +77,24 @@ class CanMapping:
     """Messages and properties of one drive, for its port.
 
     Attributes:
+        sources: Where each of its values comes from.
         statuses: Messages with measurements.
         orders: Frames of the command, in the order of sending.
         setup: Frames that are sent once, when the bus is opened.
         clock: Message whose arrival is the fast tick.
         page: Signal whose page of that message alone is it, None for all its frames.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
-        faults: Watched words of the drive, of faults and warnings.
-        others: Names of its values that are no quantity.
         cautions: What can be used, and is probably not meant.
         timing: Times of the drive.
     """
 
+    sources: tuple[description.Source[database.Located], ...]
     statuses: tuple[StatusFrame, ...]
     orders: tuple[CommandFrame, ...]
     setup: tuple[CommandFrame, ...]
     clock: str
     page: str | None
     counter_modulus: int | None
-    faults: Mapping[str, FaultWord]
-    others: tuple[str, ...]
     timing: Timing
     cautions: tuple[Flaw, ...]
 
@@ -119,8 +116,7 @@ class StatusAssembly:
             one.quantity: (status, one) for status in mapping.statuses for one in status.sources
         }
         self.bridge = self._sources.get(BRIDGE, (None, None))[1]
-        slacks = {name: one.slack_s for name, (_, one) in self._sources.items()}
-        self.newest = port.NewestValues(slacks, mapping.others, mapping.faults)
+        self.newest = port.NewestValues(mapping.sources)
 
     def forget(self) -> None:
         """Await a report of the bridge: the bus was opened again; counters may have advanced."""

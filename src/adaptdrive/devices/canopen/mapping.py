@@ -3,7 +3,7 @@
 Everything that can be wrong is found here, before a bus is opened, and all of it at once.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -22,7 +22,6 @@ from adaptdrive.devices.canopen import dictionary
 from adaptdrive.devices.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
 from adaptdrive.devices.port import NewestValues
-from adaptdrive.safety.facts import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Process data objects: packing entries into frames, and the codec of each frame.
@@ -183,6 +182,7 @@ class CanOpenMapping:
     """Objects and properties of one drive, for its port.
 
     Attributes:
+        sources: Every quantity that is measured.
         statuses: PDOs that the drive sends.
         orders: PDOs that the drive takes.
         unused: PDOs of the drive that are switched off.
@@ -191,9 +191,9 @@ class CanOpenMapping:
         present: Optional entries that the drive has.
         identity: Identity object that the drive must have to be the one of the EDS.
         cautions: What can be used, and is probably not meant.
-        faults: Watched words of the drive, of faults and warnings.
     """
 
+    sources: tuple[description.Source[Entry], ...]
     statuses: tuple[StatusPdo, ...]
     orders: tuple[CommandPdo, ...]
     unused: tuple[Pdo, ...]
@@ -202,17 +202,10 @@ class CanOpenMapping:
     present: frozenset[Address]
     identity: tuple[tuple[Address, int], ...]
     cautions: tuple[Flaw, ...]
-    faults: Mapping[str, FaultWord]
-
-    @property
-    def sources(self) -> tuple[description.Source[Entry], ...]:
-        """Every quantity that is measured."""
-        return tuple(source for status in self.statuses for source in status.sources)
 
     def newest_values(self) -> NewestValues:
         """Return the values of the drive, none of which is known yet."""
-        slacks = dict.fromkeys([binding.BRIDGE, *(one.quantity for one in self.sources)], 0.0)
-        return NewestValues(slacks, binding.other_names(self.sources), self.faults)
+        return NewestValues(self.sources, binding.BRIDGE)
 
 
 def map_drive(
@@ -250,6 +243,7 @@ def map_drive(
         raise ConfigurationError(source, catalogue.flaws)
     counters = (one for one in sources if one.quantity == "counter")
     return CanOpenMapping(
+        sources=tuple(sources),
         statuses=tuple(StatusPdo(pdo, codec(pdo), _carried(pdo, sources)) for pdo in transmits),
         orders=tuple(CommandPdo(pdo, codec(pdo), _carried(pdo, sinks)) for pdo in receives),
         unused=(*unsent, *untaken),
@@ -258,7 +252,6 @@ def map_drive(
         present=frozenset(one for one in _OPTIONAL if catalogue.at(one)),
         identity=catalogue.identity,
         cautions=tuple(catalogue.cautions),
-        faults=binding.watched_words(sources),
     )
 
 

@@ -5,7 +5,7 @@ Everything that can be wrong is found here, before a link is opened, and all of 
 
 import functools
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -16,7 +16,6 @@ from adaptdrive.devices import binding, description
 from adaptdrive.devices.description import Sink, Source
 from adaptdrive.devices.field import Field
 from adaptdrive.devices.polled import registers
-from adaptdrive.safety.facts import FaultWord
 from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -136,22 +135,20 @@ class Poll:
     """Exchanges with the drive in one poll cycle.
 
     Attributes:
+        sources: Where each quantity comes from.
         reads: Blocks to read, and what is taken from each.
         writes: Blocks to write, and what goes into each.
         combined: Whether the only write travels with the first read.
         interval_s: Longest time between two writes of the same registers, 0 for each poll.
         setup: What is written before the drive is commanded, whether it reads as written.
-        other: Names of more values of the drive.
-        faults: Watched words of the drive, of faults and warnings.
     """
 
+    sources: tuple[Source[Named], ...]
     reads: tuple[tuple[registers.Block, tuple[Source[Named], ...]], ...]
     writes: tuple[tuple[registers.Block, tuple[Sink[Named], ...]], ...]
     combined: bool
     interval_s: float = 0.0
     setup: tuple[tuple[registers.Block, Sink[Named], bool], ...] = ()
-    other: tuple[str, ...] = ()
-    faults: Mapping[str, FaultWord] = field(default_factory=dict)
 
     @property
     def bridge_block(self) -> registers.Block | None:
@@ -212,6 +209,7 @@ def map_drive(
     limited = [one for one in written_to if one.write_limit is not None]
     writes = *plan(one for one in written_to if one.write_limit is None), *plan(limited)
     poll = Poll(
+        sources=tuple(bound),
         reads=tuple((block, inside(block, sources)) for block in reads),
         writes=tuple((block, inside(block, sinks)) for block in writes),
         combined=bus.write == "with-read",
@@ -221,8 +219,6 @@ def map_drive(
             for one in setup
             for block in plan([one.item.register])
         ),
-        other=binding.other_names(bound),
-        faults=binding.watched_words(bound),
     )
     flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
     if not flaws:
