@@ -4,11 +4,11 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import description, port
 from adaptdrive.devices.binding import BRIDGE
-from adaptdrive.devices.can import database
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.integrity import FrameVerdict
 from adaptdrive.safety.timing import Timing
@@ -24,7 +24,19 @@ class StatusFrame:
     """A message that carries measurements, and what is taken from it."""
 
     codec: MessageCodec
-    sources: tuple[description.Source[database.Located], ...]
+    sources: tuple[description.Source[Any], ...]
+
+    def quantities(self, found: Mapping[str, float]) -> dict[str, float]:
+        """Return values by quantity.
+
+        Args:
+            found: Good values by signal, which is the name of the field of a source.
+        """
+        return {
+            one.quantity: found[one.field.name] * one.scale + one.offset
+            for one in self.sources
+            if one.field.name in found
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +47,14 @@ class CommandFrame:
         codec: Codec of its message; frames of one message share it, and its alive counter.
         parts: What is taken from the command, by signal.
         fixed: Values that are always the same: constants, and what selects the page.
-        copies: Measured values that are sent back, by signal.
+        copies: Values besides the command, such as measured ones that are sent back, by signal.
         every_s: Time from one to the next where it does not go with each command.
     """
 
     codec: MessageCodec
-    parts: Mapping[str, description.Sink[database.Located]]
+    parts: Mapping[str, description.Sink[Any]]
     fixed: Mapping[str, float]
-    copies: Mapping[str, description.Sink[database.Located]]
+    copies: Mapping[str, description.Sink[Any]]
     every_s: float = 0.0
 
     def encode(self, command: Command, measured: Mapping[str, float] = _NOTHING) -> bytes:
@@ -50,8 +62,8 @@ class CommandFrame:
 
         Args:
             command: The command.
-            measured: Measured values by name; a copy of one that is missing, or does not fit into
-                its signal, says that it is not available.
+            measured: Values by name; a copy of one that is missing, or does not fit into its
+                signal, says that it is not available.
 
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it.
@@ -88,7 +100,7 @@ class CanMapping:
         timing: Times of the drive.
     """
 
-    sources: tuple[description.Source[database.Located], ...]
+    sources: tuple[description.Source[Any], ...]
     statuses: tuple[StatusFrame, ...]
     orders: tuple[CommandFrame, ...]
     setup: tuple[CommandFrame, ...]
@@ -159,16 +171,12 @@ class StatusAssembly:
 
     def _quantities(self, status: StatusFrame, found: Mapping[str, float]) -> dict[str, float]:
         """Return the values of a message by quantity; the bridge is 1 while it is on."""
-        values = {}
-        for one in status.sources:
-            value = found.get(one.field.name)
-            if value is not None:
-                values[one.quantity] = value * one.scale + one.offset
+        values = status.quantities(found)
         if self.bridge is not None and BRIDGE in values:
             values[BRIDGE] = float(values[BRIDGE] == self.bridge.on)
         return values
 
-    def oldest(self) -> tuple[StatusFrame, description.Source[database.Located], float, float]:
+    def oldest(self) -> tuple[StatusFrame, description.Source[Any], float, float]:
         """Return the value that is out of date first: its message, its source, and its arrival.
 
         The last item is the arrival of the newest value; an arrival is -inf before the first.
