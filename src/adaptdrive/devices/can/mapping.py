@@ -23,6 +23,7 @@ from adaptdrive.config.bus import CanBus, CanDescription, FrameIntegrity, Signal
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.can import assembly, database, layout
 from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.field import Field
 from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import ConfigurationError, nearest
 
@@ -178,19 +179,14 @@ def status_frame(
         sources: What is taken from it.
         cycle_s: Time from one of its frames to the next, 0 for a message of each half cycle.
     """
-    sources = tuple(sources)
-    codec = MessageCodec(
-        catalogue.known(name),
-        bus.integrity.get(name),
-        wanted=dict.fromkeys(one.field.name for one in sources),
-        measured={one.field.name for one in sources if not description.is_word(one.quantity)},
-        states={
-            one.field.name: 1.0 if one.on is None else one.on
-            for one in sources
-            if one.quantity == binding.BRIDGE
-        },
-        cycle_s=cycle_s,
-    )
+    sources, fields = tuple(sources), dict[str, Field]()
+    for one in sources:
+        coded, signal = one.field, one.item.signal
+        if one.quantity == binding.BRIDGE:
+            coded = layout.compile_field(signal, state=True, on=one.on)
+        fields[signal.name] = coded.within(fields.get(signal.name, coded))
+    integrity = bus.integrity.get(name)
+    codec = MessageCodec(catalogue.known(name), integrity, fields, cycle_s=cycle_s)
     return assembly.StatusFrame(codec, sources)
 
 

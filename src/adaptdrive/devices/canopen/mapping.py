@@ -242,11 +242,10 @@ def _labelled(source: description.Source[Entry]) -> description.Source[Entry]:
 
 def _order(pdo: Pdo, sinks: Iterable[description.Sink[Entry]]) -> CommandFrame:
     """Return what goes into a PDO."""
-    sinks = {one.item.label: one for one in sinks}
     words = [one for one in pdo.entries if one.address == CONTROLWORD]
     return CommandFrame(
         codec(pdo),
-        parts=sinks,
+        parts={one.item.label: one for one in sinks},
         fixed={},
         copies={one.label: description.Sink(WORD, one, one.coding, 0.0, 1.0) for one in words},
     )
