@@ -32,11 +32,12 @@ class StatusFrame:
         Args:
             found: Good values by signal, which is the name of the field of a source.
         """
-        return {
-            one.quantity: found[one.field.name] * one.scale + one.offset
-            for one in self.sources
-            if one.field.name in found
-        }
+        values = {}
+        for one in self.sources:
+            value = found.get(one.field.name)
+            if value is not None:
+                values[one.quantity] = value * one.scale + one.offset
+        return values
 
 
 @dataclass(frozen=True, slots=True)
