@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from canopen import Network
 from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
+from cantools.database.can.message import Message
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, CanOpenBus
@@ -15,9 +16,11 @@ from adaptdrive.config.polled import ModbusTcp, Register
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.database import read_dbc
 from adaptdrive.devices.can.integrity import FrameVerdict
+from adaptdrive.devices.can.layout import compile_field
 from adaptdrive.devices.canopen.mapping import map_drive
 from adaptdrive.devices.canopen.profile import parse_emergency
 from adaptdrive.devices.canopen.sdo import Server
+from adaptdrive.devices.field import Field
 from adaptdrive.devices.polled.registers import decode, register_field
 from adaptdrive.util.errors import BusError
 from tools.fuzz.random_messages import random_message
@@ -34,8 +37,14 @@ def _codecs() -> tuple[MessageCodec, ...]:
     bases = [read_dbc(EXAMPLES / name)[0] for name in names]
     known = [message for base in bases for message in base.messages]
     plain = [MessageCodec(message) for message in known]
-    part = [MessageCodec(one, wanted=[one.signals[-1].name]) for one in known]
+    part = [MessageCodec(one, fields=_last(one)) for one in known]
     return (*plain, *part, *_protected("motor-inverter.toml"), *_protected("battery.toml"))
+
+
+def _last(message: Message) -> dict[str, Field]:
+    """How the last signal of a message is coded."""
+    field = compile_field(message.signals[-1])
+    return {field.name: field}
 
 
 def _protected(name: str) -> list[MessageCodec]:

@@ -99,7 +99,7 @@ class CanOpenDrive(DriveNode):
         mapping = mapped(configuration, source)
         shown = {one.quantity: one for one in mapping.sources}
         self._shown = {name: shown[name] for name in QUANTITIES if name in shown}
-        taken = (one for order in mapping.orders for one in order.sinks)
+        taken = (one for order in mapping.orders for one in order.parts.values())
         self._obeyed = [one for one in taken if one.name in COMMANDED]
         self._wire = canopen_objects.NodeNetwork(self._put)
         eds, node_id = str(self._config.eds), self._config.node_id

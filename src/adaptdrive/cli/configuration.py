@@ -159,13 +159,9 @@ def _choose(
     *,
     ask: bool | None,
 ) -> dict[str, description.Candidate | None]:
-    wanted = {
-        "output": description.OUTPUTS.get(load, description.NO_PROPOSAL),
-        **description.QUANTITIES,
-    }
     chosen = {
         quantity: _confirm(quantity, _proposed(quantity, one, known, ask=ask), known, ask=bool(ask))
-        for quantity, one in wanted.items()
+        for quantity, one in description.wanted_by(load).items()
         if quantity not in without
     }
     left_out = ", ".join(quantity for quantity, one in chosen.items() if one is None)

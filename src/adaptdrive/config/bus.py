@@ -40,15 +40,13 @@ class Crc(Section):
     """the lowest bit comes first: `refin` and `refout` of a catalogue"""
     xorout: int = key(0, span=(0, 0xFFFF_FFFF))
     """final exclusive or"""
-    covers: list[Byte] | None = key(None, min_length=1, max_length=64)
-    """bytes of the frame that the checksum covers, in this order, from 0 on; its own bytes count as
-    0; all others when left out"""
     before: list[Byte] = key([], max_length=64)
     """bytes before those of the frame, such as a data id"""
     after: list[Byte] = key([], max_length=64)
     """bytes after those of the frame"""
     by_counter: list[Byte] = key([], max_length=256)
-    """data id list of AUTOSAR profile 2: the byte at the alive counter's value comes last"""
+    """data id list of AUTOSAR profile 2, as in cars of Volkswagen's MQB: the byte at the alive
+    counter's value comes last"""
 
 
 class FrameIntegrity(Section):
@@ -310,8 +308,6 @@ class CommandSwitch(Section):
     """value that switches on; 1, or the register's, when left out"""
     off: int | str | None = None
     """value that switches off; 0, or the register's, when left out"""
-    off_signal: str | None = None
-    """coil that is set to switch off, where `signal` is one that is set to switch on only"""
 
 
 CommandedSwitch = Annotated[CommandSwitch, _or_name(CommandSwitch)]

@@ -3,16 +3,15 @@
 import math
 import re
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from adaptdrive.config.bus import BusSection
-from adaptdrive.config.section import FilePath, PositiveFloat, Range, Scale, Section, key
-from adaptdrive.util.clock import check_host
+from adaptdrive.config.section import FilePath, Host, PositiveFloat, Range, Scale, Section, key
 from adaptdrive.util.errors import Flaw
 
-# Keys of every device that is polled, and of one that is reached over TCP.
+# Keys of every device that is polled.
 
 
 class Answering(Section):
@@ -37,13 +36,6 @@ class PolledBus(Answering, BusSection):
     def ticks_per_reading(self) -> int:
         """Half cycles from one poll to the next."""
         return self.poll_ticks
-
-
-class TcpHost(Section):
-    """A device that is reached over TCP."""
-
-    host: Annotated[str, AfterValidator(check_host)]
-    """name or address of the device or its gateway"""
 
 
 # `[bus]` of a drive on Modbus: the link, and the register map that describes the drive.
@@ -145,9 +137,11 @@ class ModbusLink(Answering):
         return getattr(self, "framing", "rtu") == "tcp"
 
 
-class TcpLink(ModbusLink, TcpHost):
+class TcpLink(ModbusLink):
     """A link over TCP."""
 
+    host: Host
+    """name or address of the device or its gateway"""
     port: int = key(502, span=(1, 65535))
     """port of the device"""
     framing: Literal["tcp", "rtu"] = "tcp"
@@ -321,11 +315,13 @@ class ScpiValue(Section):
         )
 
 
-class ScpiBus(PolledBus, TcpHost):
+class ScpiBus(PolledBus):
     """`[bus]` with `type = "scpi"`."""
 
     type: Literal["scpi"]
     """kind of bus"""
+    host: Host
+    """name or address of the device or its gateway"""
     port: int = key(5025, span=(1, 65535))
     """port of the device"""
     line_end: Literal["LF", "CR", "CRLF"] = "LF"

@@ -29,6 +29,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
+from adaptdrive.util.clock import check_host
 from adaptdrive.util.errors import Flaw
 
 # Base class of all sections of the configuration.
@@ -49,6 +50,10 @@ def _scaling(factor: float) -> float:
 
 Scale = Annotated[FiniteFloat, AfterValidator(_scaling)]
 """A factor; 0 would make all values equal."""
+
+
+Host = Annotated[str, AfterValidator(check_host)]
+"""A name or an address."""
 
 
 def _named(path: object) -> object:

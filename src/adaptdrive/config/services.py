@@ -1,12 +1,8 @@
 """`[interlocks]`, `[mqtt]`, `[recording]`, `[realtime]`: what surrounds the controller."""
 
 from collections.abc import Iterator
-from typing import Annotated
-
-from pydantic import AfterValidator
 
 from adaptdrive.config import section
-from adaptdrive.util.clock import check_host
 from adaptdrive.util.errors import Flaw
 
 LONGEST_STALE_S = 2.0
@@ -56,7 +52,7 @@ class InterlocksSection(section.Section):
 class Mqtt(section.Section):
     """`[mqtt]`: the broker that carries state, telemetry and commands."""
 
-    host: Annotated[str, AfterValidator(check_host)] = "127.0.0.1"
+    host: section.Host = "127.0.0.1"
     """broker"""
     port: int = section.key(1883, span=(1, 65535))
     """port of the broker"""

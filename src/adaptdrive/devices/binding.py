@@ -13,15 +13,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from threading import Event
-from typing import Any, Generic, Literal
+from typing import Generic, Literal
 
 from adaptdrive.config import bus, root, section
 from adaptdrive.devices import description
-from adaptdrive.devices.description import Item, Sink, Source
+from adaptdrive.devices.description import Item, Sink, Source, is_word
 from adaptdrive.devices.field import Field
 from adaptdrive.safety.facts import FaultWord
 from adaptdrive.util.errors import Flaw, nearest
-from adaptdrive.util.quantity import MEASURED
 
 Use = Literal["measured", "word", "state", "command", "constant", "setup"]
 """Role of a value that is received or sent; a state is the report of the bridge."""
@@ -41,25 +40,6 @@ _PRECISION = 1e-12
 
 Given = tuple[str, bus.SignalSource, str]
 """A quantity, its entry in the configuration, and the place of that."""
-
-
-def is_word(quantity: str) -> bool:
-    """Return whether a quantity is an integer as it stands."""
-    return quantity.partition(".")[0] in bus.WORDS
-
-
-def other_names(sources: Iterable[Source[Any]]) -> tuple[str, ...]:
-    """Return the names of the values among sources that are no quantity and no word."""
-    return tuple(
-        one.quantity
-        for one in sources
-        if one.quantity not in MEASURED and not is_word(one.quantity)
-    )
-
-
-def watched_words(sources: Iterable[Source[Any]]) -> dict[str, FaultWord]:
-    """Return the words of faults and warnings among sources, by quantity."""
-    return {one.quantity: one.word for one in sources if one.word is not None}
 
 
 def sensor_entries(sensors: root.SensorBusSection, place: str) -> Iterator[Given]:
@@ -302,7 +282,6 @@ class Catalogue(ABC, Generic[Item]):
         item = None if switch is None else self.find(switch.signal, place)
         if switch is None or item is None:
             return
-        self.note(f"{place}.off_signal", "is for coils" if switch.off_signal else None)
         self.note(place, self.refusal(item, "command"))
         field, known = self.field(item, "command"), self.switch(item)
         on = self.resolve(field, known[0] if switch.on is None else switch.on, place)

@@ -5,8 +5,11 @@ A proposal is a start for a configuration; its author confirms each line.
 
 import codecs
 import re
+import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from textwrap import shorten
 from threading import Event
@@ -17,6 +20,7 @@ from adaptdrive.control.signals import Command
 from adaptdrive.devices.field import Field
 from adaptdrive.safety.facts import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.quantity import MEASURED
 
 # Files that describe a drive: read whole, and never waited for.
 
@@ -125,6 +129,11 @@ def demands_of(configuration: Configuration) -> Demands:
 Item = TypeVar("Item")
 
 
+def is_word(quantity: str) -> bool:
+    """Return whether a quantity is an integer as it stands."""
+    return quantity.partition(".")[0] in bus.WORDS
+
+
 @dataclass(frozen=True, slots=True)
 class Source(Generic[Item]):
     """Source of a quantity.
@@ -157,6 +166,11 @@ class Source(Generic[Item]):
     cycle_by: str = ""
     cycle_s: float = 0.0
 
+    @property
+    def is_other(self) -> bool:
+        """True for a value that is no quantity and no word."""
+        return not (self.quantity in MEASURED or is_word(self.quantity))
+
 
 @dataclass(frozen=True, slots=True)
 class Sink(Generic[Item]):
@@ -168,7 +182,6 @@ class Sink(Generic[Item]):
         field: How that is coded.
         base: Value of the field of the device where that of the command is 0 or False.
         factor: Units of the field per unit of that of the command.
-        only: Bridge of the commands that it is written with, None for all.
         reset: Set while the reset of a fault is given, which takes the place of that field.
     """
 
@@ -177,7 +190,6 @@ class Sink(Generic[Item]):
     field: Field
     base: float
     factor: float
-    only: bool | None = None
     reset: Event | None = None
 
     @property
@@ -196,16 +208,9 @@ class Sink(Generic[Item]):
 
 # Proposal of the signal of each quantity, by unit and by name.
 
-_VOLT, _WATT, _AMPERE = "V mV kV", "W kW", "A mA kA"
-_VOLTAGE, _POWER, _CURRENT = "voltage volt u v", "power p", "current i"
-
 _UNIT_POINTS = 3  # a unit counts more than one word of a name
 _NAME_POINTS = 2  # a word that names the quantity counts more than one that goes with it
 _LEAST_BITS = 8  # shorter values are flags and states, no quantities
-
-_LIMITS = "limit max min"
-_OF_THE_BUS = "node id baud address version lockout discharge"
-_OPPOSITES = f"{_OF_THE_BUS} disable disabled inhibit off not fault error alive crc mode reset"
 
 _ON = ("run", "on", "enabled", "enable", "operation", "active", "start")
 _OFF = ("stop", "off", "disabled", "disable", "standby", "idle", "ready")
@@ -270,43 +275,17 @@ class Wanted:
     commanded: bool = False
 
 
-QUANTITIES: Mapping[str, Wanted] = {
-    "boost_voltage_V": Wanted(
-        "boost bst dc link zwk cap bus", f"set ref line mains {_LIMITS}", _VOLT, _VOLTAGE
-    ),
-    "line_voltage_V": Wanted(
-        "line mains grid netz ac supply", f"dc boost link {_LIMITS}", _VOLT, _VOLTAGE
-    ),
-    "load_power_W": Wanted(
-        "power load p", f"{_LIMITS} supply voltage current", _WATT, _POWER, "load out"
-    ),
-    "counter": Wanted("half cycle count tick", "alive crc hours error fault"),
-    "fault": Wanted("fault error alarm trip", "crc alive reset"),
-    "bridge": Wanted("bridge run enable on", f"{_OPPOSITES} relay lamp", named="state status"),
-    "command.current_scale_S": Wanted(
-        "current scale k conductance", units="S", kind="scale k conductance", commanded=True
-    ),
-    "command.boost_reference_V": Wanted(
-        "boost dc link voltage", f"line mains {_OF_THE_BUS}", _VOLT, _VOLTAGE, "set ref",
-        commanded=True,
-    ),
-    "command.bridge": Wanted(
-        "bridge enable run start", f"{_OPPOSITES} page", named="request state", commanded=True
-    ),
-}  # fmt: skip
+@cache
+def wanted_by(load: str) -> Mapping[str, Wanted]:
+    """Return what the signals look like that a drive with a load has, by quantity.
 
-NO_PROPOSAL = Wanted("")
-"""Fits no candidate: the output of a load that `OUTPUTS` does not describe is left to its user."""
-
-_SPEED = "speed tach rpm n omega velocity"
-
-OUTPUTS: Mapping[str, Wanted] = {
-    "motor": Wanted(_SPEED, f"set ref {_LIMITS}", "rpm rad/s V Hz", _SPEED, "act"),
-    "bath": Wanted("temp bath water t", "heatsink igbt motor fet board", "K degC degF", "temp"),
-    "battery": Wanted(
-        "current batt i", f"line mains ac input motor {_LIMITS}", _AMPERE, _CURRENT, "batt out"
-    ),
-}
+    Args:
+        load: Type of the load; the output of one that nothing describes fits no candidate.
+    """
+    text = (resources.files("adaptdrive.devices") / "proposal.toml").read_text(encoding="utf-8")
+    tables = tomllib.loads(text)
+    looks = {"output": tables["output"].get(load, {"words": ""}), **tables["quantity"]}
+    return {name: Wanted(**look) for name, look in looks.items()}
 
 
 def propose(wanted: Wanted, candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:

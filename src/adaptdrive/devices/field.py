@@ -5,7 +5,7 @@ A DBC, an EDS and a register map describe it in three ways; here it is the same 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 Raw = int | float
 
@@ -83,6 +83,11 @@ class Field:
         if not self.low <= raw <= self.high or raw in self.unknown:
             return None
         return raw * self.scale + self.offset
+
+    def within(self, other: "Field") -> "Field":
+        """Return the field whose raw values say something here and in another use of the same."""
+        low, high = max(self.low, other.low), min(self.high, other.high)
+        return replace(self, low=low, high=high, unknown=self.unknown | other.unknown)
 
     @property
     def ends(self) -> tuple[float, float]:

@@ -10,12 +10,13 @@ of its quantity: that one keeps its own time and ages.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from adaptdrive.control.signals import Command
-from adaptdrive.safety.facts import FaultLatch, FaultWord, Reading
+from adaptdrive.devices.description import Source
+from adaptdrive.safety.facts import FaultLatch, Reading
 from adaptdrive.safety.monitor import Monitor
 from adaptdrive.safety.trips import Trip
 
@@ -153,22 +154,19 @@ class NewestValues:
         refused: Quantities whose newest value must not be used: an older one is held.
     """
 
-    def __init__(
-        self, slacks: Mapping[str, float], others: Iterable[str], faults: Mapping[str, FaultWord]
-    ) -> None:
+    def __init__(self, sources: Collection[Source[Any]], *more: str) -> None:
         """Begin without a value.
 
         Args:
-            slacks: How much older than `interlocks.stale_s` a value may be, by quantity, in s.
-            others: Names of those that are no field of a reading.
-            faults: Fault words of the drive.
+            sources: Where the drive gives its values.
+            more: Quantities that are made of what else it gives.
         """
-        self._slacks = dict(slacks)
+        self._slacks = dict.fromkeys(more, 0.0) | {one.quantity: one.slack_s for one in sources}
         self._is_patient = any(self._slacks.values())
-        self._others = tuple(others)
+        self._others = tuple(one.quantity for one in sources if one.is_other)
         self._values: dict[str, float] = {}
         self._taken_s: dict[str, float] = {}
-        self.faults = FaultLatch(faults)
+        self.faults = FaultLatch({one.quantity: one.word for one in sources if one.word})
         self.refused: set[str] = set()
 
     def keep(

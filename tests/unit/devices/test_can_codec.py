@@ -1,5 +1,6 @@
 import math
 from collections import OrderedDict
+from collections.abc import Collection, Mapping
 
 import pytest
 from cantools.database.can.message import Message
@@ -12,7 +13,31 @@ from hypothesis import strategies as st
 from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.integrity import FrameVerdict
+from adaptdrive.devices.can.layout import compile_field
 from tests.unit.devices.bench import motor_bus, odd_database, reference_database, with_crc
+
+
+def coded(
+    message: Message,
+    integrity: FrameIntegrity | None = None,
+    *,
+    wanted: Collection[str] | None = None,
+    measured: Collection[str] = (),
+    states: Mapping[str, float] | None = None,
+) -> MessageCodec:
+    """The codec of a message with signals that are measured, or the state of a bridge."""
+    fields = {
+        one.name: compile_field(
+            one,
+            measured=one.name in measured,
+            state=one.name in (states or {}),
+            on=(states or {}).get(one.name),
+        )
+        for one in message.signals
+        if wanted is None or one.name in wanted
+    }
+    return MessageCodec(message, integrity, fields)
+
 
 SCALES = st.sampled_from([1, 2, 0.5, 0.1, 0.01, 1e-6, -0.25])
 OFFSETS = st.sampled_from([0, -40, 273.15])
@@ -156,7 +181,7 @@ def test_a_state_whose_name_says_that_nothing_is_known_is_none(
     choices: OrderedDict[int, str | NamedSignalValue] = OrderedDict(enumerate(names))
     state = Signal("State", 0, 3, conversion=BaseConversion.factory(choices=choices))
     message = Message(0x123, "Drive", 1, [state])
-    codec = MessageCodec(message, states={"State": 1.0})
+    codec = coded(message, states={"State": 1.0})
     refused = {raw for raw in range(len(names)) if not codec.decode(bytes((raw,)))[1]}
     assert refused == unknown
     values = [MessageCodec(message).decode(bytes((raw,)))[1] for raw in range(len(names))]
@@ -204,13 +229,13 @@ def test_a_frame_of_another_length_without_proofs_gives_what_it_has(
     message = odd_database(signals).get_message_by_name("Odd")
     volts = (1234).to_bytes(2, "little" if "@1" in place else "big")
     data = bytes(2) + volts + bytes(60)
-    decoded = MessageCodec(message, wanted=["Volts"]).decode(data[:length])
+    decoded = coded(message, wanted=["Volts"]).decode(data[:length])
     assert decoded[1] == {"Volts": pytest.approx(123.4)}
-    assert MessageCodec(message, wanted=["Volts"]).needed == 4
+    assert coded(message, wanted=["Volts"]).needed == 4
     for short in (0, 1, 3):
-        verdict = MessageCodec(message, wanted=["Volts"]).decode(data[:short])[0]
+        verdict = coded(message, wanted=["Volts"]).decode(data[:short])[0]
         assert verdict is FrameVerdict.WRONG_LENGTH
-    both = MessageCodec(message, wanted=["Volts", "Late"]).decode(data[:length])
+    both = coded(message, wanted=["Volts", "Late"]).decode(data[:length])
     assert both[0] is (FrameVerdict.GOOD if length > 7 else FrameVerdict.WRONG_LENGTH)
 
 
@@ -218,7 +243,7 @@ def test_a_short_frame_of_a_multiplexed_message_is_read_by_its_page() -> None:
     message = odd_database(""" SG_ Page M : 0|8@1+ (1,0) [0|255] "" X
  SG_ Volts m1 : 8|16@1+ (0.1,0) [0|6553.4] "V" X
  SG_ Late m2 : 48|16@1+ (1,0) [0|65535] "" X""").messages[0]
-    codec = MessageCodec(message, wanted=["Volts"])
+    codec = coded(message, wanted=["Volts"])
     assert codec.decode(b"\x01\x0a\x00")[1] == {"Volts": pytest.approx(1.0)}
     assert codec.decode(b"\x02\x0a\x00")[1] == {}
     assert codec.decode(b"\x01\x0a")[0] is FrameVerdict.WRONG_LENGTH
@@ -246,7 +271,7 @@ def test_the_values_beside_a_refused_one_are_those_in_range(
     status: str, values: dict[str, float]
 ) -> None:
     integrity = FrameIntegrity(counter="Alive", checksum="Crc")
-    codec = MessageCodec(dbc(WORDS), integrity, measured={"Volts", "Amps"})
+    codec = coded(dbc(WORDS), integrity, measured={"Volts", "Amps"})
     frame = with_crc(bytes.fromhex("ffff 0100") + bytes.fromhex(status) + bytes(2))
     decoded = codec.decode(frame)
     assert decoded[0] is FrameVerdict.OUT_OF_RANGE
@@ -266,13 +291,13 @@ def test_the_values_beside_a_refused_one_are_those_in_range(
 def test_a_state_with_all_bits_set_is_none(raw: str, on: float, named: str, known: bool) -> None:
     """As a gateway sends it of a drive that it does not hear: it would be a bridge that is off."""
     state = dbc(f' SG_ State : 0|8@1- (1,0) [0|0] "" X{named}')
-    decoded = MessageCodec(state, states={"State": on}).decode(bytes.fromhex(raw) + bytes(7))
+    decoded = coded(state, states={"State": on}).decode(bytes.fromhex(raw) + bytes(7))
     assert bool(decoded[1]) is known
 
 
 def test_a_frame_with_nothing_available_has_no_values() -> None:
     """As a drive sends while its control starts; a word of one bit looks like a 1 there."""
-    codec = MessageCodec(dbc(WORDS), FrameIntegrity(), measured={"Volts", "Amps"})
+    codec = coded(dbc(WORDS), FrameIntegrity(), measured={"Volts", "Amps"})
     assert codec.decode(b"\xff" * 7 + b"\x7f")[1]["On"] == 1
     decoded = codec.decode(b"\xff" * 8)
     assert decoded[0] is FrameVerdict.OUT_OF_RANGE
@@ -281,7 +306,7 @@ def test_a_frame_with_nothing_available_has_no_values() -> None:
 
 @pytest.mark.parametrize("alive", [0, 15], ids=["repeated", "beyond its end"])
 def test_a_frame_whose_counter_is_wrong_has_no_values(alive: int) -> None:
-    codec = MessageCodec(dbc(WORDS), FrameIntegrity(counter="Alive"), measured={"Volts", "Amps"})
+    codec = coded(dbc(WORDS), FrameIntegrity(counter="Alive"), measured={"Volts", "Amps"})
     frame = bytes.fromhex("ffff 0100 0214")
     assert codec.decode(frame + bytes(2))[1]
     decoded = codec.decode(frame + bytes((alive, 0)))
@@ -294,7 +319,7 @@ def test_a_measurement_is_unavailable_even_where_the_database_forgot_it(declared
     message = dbc(f' SG_ Volts : 0|16@1+ (0.1,0) {declared} "V" X')
     frame = b"\xff\xff" + bytes(6)
     assert MessageCodec(message).decode(frame)[0] is FrameVerdict.GOOD
-    assert MessageCodec(message, measured={"Volts"}).decode(frame)[0] is FrameVerdict.OUT_OF_RANGE
+    assert coded(message, measured={"Volts"}).decode(frame)[0] is FrameVerdict.OUT_OF_RANGE
 
 
 def test_a_counter_that_the_database_ends_early_wraps_there() -> None:

@@ -86,18 +86,6 @@ def test_profile_2_of_autosar_is_described(frame: str) -> None:
     assert codec.decode(bytes.fromhex(frame))[0] is FrameVerdict.GOOD
 
 
-@given(st.binary(min_size=8, max_size=8), st.permutations(range(8)), st.integers(1, 8))
-def test_only_the_named_bytes_are_covered(data: bytes, order: list[int], count: int) -> None:
-    covers = order[:count]
-    codec = protected(CRC_16, **CCITT_FALSE, covers=covers)
-    blank = bytes(2) + data[2:]
-    total = reference(form_of(0x1021, 0xFFFF, 0, 0), 16)
-    held = total.process(bytes(blank[at] for at in covers)).final()
-    good = held.to_bytes(2, "little") + data[2:]
-    assert codec.decode(good)[0] is FrameVerdict.GOOD
-    assert codec.decode(bytes((good[0] ^ 1,)) + good[1:])[0] is FrameVerdict.WRONG_CHECKSUM
-
-
 def test_a_checksum_in_motorola_order_is_read() -> None:
     signals = ' SG_ Sum : 55|16@0+ (1,0) [0|65535] "" X\n' + ALIVE
     frame = protected(signals, **CCITT_FALSE).encode({"Alive": 0})
@@ -109,7 +97,6 @@ def test_a_checksum_in_motorola_order_is_read() -> None:
     ("signals", "changes", "place", "words"),
     [
         (CRC_8, {"crc": CCITT_FALSE}, "crc.init", "more than the 8 bits"),
-        (CRC_16, {"crc": {**CCITT_FALSE, "covers": [8]}}, "crc.covers", "8 bytes"),
         (CRC_8, {"crc": None, "nibble": "Alive"}, "data_id", "need it"),
         (CRC_16, {"checksum": None}, "checksum", "is missing"),
         (CRC_8, {"counter": None, "crc": {**PROFILE_2, "by_counter": [1]}}, "counter", "missing"),

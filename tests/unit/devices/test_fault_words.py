@@ -168,7 +168,7 @@ def test_a_drive_on_modbus_has_several_words() -> None:
 def test_a_node_on_canopen_has_several_words() -> None:
     warning = {"signal": "0x603F", "mask": 0x70, "names": {"4": "derating"}}
     mapping = plan_objects({"signals/fault": ["0x2000.1"], "signals/warning": [warning]})
-    assert mapping.faults == {
+    assert {one.quantity: one.word for one in mapping.sources if one.word} == {
         "fault": FaultWord("0x2000.1", -1, {}),
         "warning": FaultWord("0x603F", 0x70, {0x10: "derating"}, warns=True),
     }
@@ -244,7 +244,7 @@ def test_a_word_is_watched_once() -> None:
 
 def test_a_file_names_the_values_of_a_code() -> None:
     code = {"signal": "0x603F", "healthy": [0], "names": {"8880": "over-current", "5": "hot"}}
-    latch = FaultLatch(plan_objects({"signals/fault": code}).faults)
+    latch = plan_objects({"signals/fault": code}).newest_values().faults
     latch.see({"fault": float(0)})
     assert latch.trip_cause is None
     latch.see({"fault": float(0x22B0)})

@@ -176,29 +176,6 @@ def test_a_stated_range_stands_in_place_of_a_wrong_one(tmp_path: Path) -> None:
         map_drive(wrong, MOTOR.signals, TIMING)
 
 
-@pytest.mark.parametrize(
-    ("layout", "words"),
-    [
-        ("18|11@0+ (0.5,0) [-300|300]", "-0.5 Nm would be read as 1023.5 Nm"),
-        ("0|8@1+ (1,-40) [-50|210]", "-41 Nm would be read as 215 Nm"),
-        ("0|8@1+ (-1,0) [-255|10]", "1 Nm would be read as -255 Nm"),
-        ("0|8@1+ (1,-40) [-40|215]", ""),
-        ("18|11@0- (0.5,0) [-300|300]", ""),
-        ("0|8@1+ (0.1,0) [-0.05|20]", ""),
-        ("0|8@1+ (1,40) [0|0]", ""),
-    ],
-)
-def test_an_unsigned_signal_whose_range_begins_below_it_is_warned_of(
-    tmp_path: Path, layout: str, words: str
-) -> None:
-    text = f'BO_ 256 Sound: 8 A\n SG_ Level : {layout} "Nm" A\n'
-    catalogue = SignalCatalogue(*read_dbc(written(tmp_path, text)), fd=False)
-    assert catalogue.find("Sound.Level", "signals.output")
-    told = [one.message for one in catalogue.cautions if one.place == "signals.output"]
-    assert len(told) == bool(words)
-    assert all(one.startswith("Sound.Level: has the range") and words in one for one in told)
-
-
 J1939 = (
     f"BO_ {(1 << 31) | 0x18FF50E5} Charger: 8 A\n"
     ' SG_ Level : 0|16@1+ (0.1,0) [0|0] "V" A\n'

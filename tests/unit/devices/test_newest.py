@@ -4,23 +4,46 @@ from __future__ import annotations
 
 import pytest
 
+from adaptdrive.devices.description import Source
+from adaptdrive.devices.field import Field
 from adaptdrive.devices.port import NewestValues
 from adaptdrive.safety.facts import FaultWord
 
-WORDS = {"fault": FaultWord("State", -1, {2: "hot"})}
+WORD = FaultWord("State", -1, {2: "hot"})
+FIELD = Field("Any", 0, 1, integer=True)
 GOOD = {"output": 2.5, "boost_voltage_V": 300.0, "bridge": 1.0, "counter": 7.0, "fault": 0.0}
+
+
+def unknown(**slacks: float) -> NewestValues:
+    """The values of a drive of which none has come."""
+    return NewestValues(
+        [
+            Source(
+                name,
+                None,
+                FIELD,
+                1.0,
+                0.0,
+                None,
+                "",
+                word=WORD if name == "fault" else None,
+                slack_s=slacks.get(name, 0.0),
+            )
+            for name in GOOD
+        ]
+    )
 
 
 def known(**slacks: float) -> NewestValues:
     """The values of a drive of which every quantity has been good once, at 1 s."""
-    newest = NewestValues(dict.fromkeys(GOOD, 0.0) | slacks, (), WORDS)
+    newest = unknown(**slacks)
     newest.keep(GOOD, 1.0)
     return newest
 
 
 def test_there_is_no_reading_before_every_quantity_has_been_good_once() -> None:
     assert known().reading(1.0) is not None
-    blind = NewestValues(dict.fromkeys(GOOD, 0.0), (), WORDS)
+    blind = unknown()
     blind.keep({name: value for name, value in GOOD.items() if name != "output"}, 1.0, ["output"])
     assert blind.reading(1.0) is None
 

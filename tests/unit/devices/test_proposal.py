@@ -9,7 +9,7 @@ import pytest
 from adaptdrive.app.examine import load_examined
 from adaptdrive.cli import main
 from adaptdrive.config.bus import CanBus
-from adaptdrive.devices.description import OUTPUTS, QUANTITIES, Candidate, propose
+from adaptdrive.devices.description import Candidate, propose, wanted_by
 
 
 def candidate(
@@ -24,7 +24,7 @@ def candidate(
 
 
 def likeliest(quantity: str, *given: Candidate) -> str | None:
-    wanted = OUTPUTS["motor"] if quantity == "output" else QUANTITIES[quantity]
+    wanted = wanted_by("motor")[quantity]
     return next((one.reference for one in propose(wanted, given)), None)
 
 

@@ -4,14 +4,13 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import description, port
 from adaptdrive.devices.binding import BRIDGE
-from adaptdrive.devices.can import database
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.can.integrity import FrameVerdict
-from adaptdrive.safety.facts import FaultWord
 from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import Flaw
 
@@ -25,7 +24,20 @@ class StatusFrame:
     """A message that carries measurements, and what is taken from it."""
 
     codec: MessageCodec
-    sources: tuple[description.Source[database.Located], ...]
+    sources: tuple[description.Source[Any], ...]
+
+    def quantities(self, found: Mapping[str, float]) -> dict[str, float]:
+        """Return values by quantity.
+
+        Args:
+            found: Good values by signal, which is the name of the field of a source.
+        """
+        values = {}
+        for one in self.sources:
+            value = found.get(one.field.name)
+            if value is not None:
+                values[one.quantity] = value * one.scale + one.offset
+        return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +48,14 @@ class CommandFrame:
         codec: Codec of its message; frames of one message share it, and its alive counter.
         parts: What is taken from the command, by signal.
         fixed: Values that are always the same: constants, and what selects the page.
-        copies: Measured values that are sent back, by signal.
+        copies: Values besides the command, such as measured ones that are sent back, by signal.
         every_s: Time from one to the next where it does not go with each command.
     """
 
     codec: MessageCodec
-    parts: Mapping[str, description.Sink[database.Located]]
+    parts: Mapping[str, description.Sink[Any]]
     fixed: Mapping[str, float]
-    copies: Mapping[str, description.Sink[database.Located]]
+    copies: Mapping[str, description.Sink[Any]]
     every_s: float = 0.0
 
     def encode(self, command: Command, measured: Mapping[str, float] = _NOTHING) -> bytes:
@@ -51,8 +63,8 @@ class CommandFrame:
 
         Args:
             command: The command.
-            measured: Measured values by name; a copy of one that is missing, or does not fit into
-                its signal, says that it is not available.
+            measured: Values by name; a copy of one that is missing, or does not fit into its
+                signal, says that it is not available.
 
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it.
@@ -78,26 +90,24 @@ class CanMapping:
     """Messages and properties of one drive, for its port.
 
     Attributes:
+        sources: Where each of its values comes from.
         statuses: Messages with measurements.
         orders: Frames of the command, in the order of sending.
         setup: Frames that are sent once, when the bus is opened.
         clock: Message whose arrival is the fast tick.
         page: Signal whose page of that message alone is it, None for all its frames.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
-        faults: Watched words of the drive, of faults and warnings.
-        others: Names of its values that are no quantity.
         cautions: What can be used, and is probably not meant.
         timing: Times of the drive.
     """
 
+    sources: tuple[description.Source[Any], ...]
     statuses: tuple[StatusFrame, ...]
     orders: tuple[CommandFrame, ...]
     setup: tuple[CommandFrame, ...]
     clock: str
     page: str | None
     counter_modulus: int | None
-    faults: Mapping[str, FaultWord]
-    others: tuple[str, ...]
     timing: Timing
     cautions: tuple[Flaw, ...]
 
@@ -119,8 +129,7 @@ class StatusAssembly:
             one.quantity: (status, one) for status in mapping.statuses for one in status.sources
         }
         self.bridge = self._sources.get(BRIDGE, (None, None))[1]
-        slacks = {name: one.slack_s for name, (_, one) in self._sources.items()}
-        self.newest = port.NewestValues(slacks, mapping.others, mapping.faults)
+        self.newest = port.NewestValues(mapping.sources)
 
     def forget(self) -> None:
         """Await a report of the bridge: the bus was opened again; counters may have advanced."""
@@ -163,16 +172,12 @@ class StatusAssembly:
 
     def _quantities(self, status: StatusFrame, found: Mapping[str, float]) -> dict[str, float]:
         """Return the values of a message by quantity; the bridge is 1 while it is on."""
-        values = {}
-        for one in status.sources:
-            value = found.get(one.field.name)
-            if value is not None:
-                values[one.quantity] = value * one.scale + one.offset
+        values = status.quantities(found)
         if self.bridge is not None and BRIDGE in values:
             values[BRIDGE] = float(values[BRIDGE] == self.bridge.on)
         return values
 
-    def oldest(self) -> tuple[StatusFrame, description.Source[database.Located], float, float]:
+    def oldest(self) -> tuple[StatusFrame, description.Source[Any], float, float]:
         """Return the value that is out of date first: its message, its source, and its arrival.
 
         The last item is the arrival of the newest value; an arrival is -inf before the first.

@@ -22,9 +22,8 @@ from adaptdrive.devices.can.integrity import (
     AliveCounter,
     FrameVerdict,
     checksum_function,
-    covered,
 )
-from adaptdrive.devices.field import Raw
+from adaptdrive.devices.field import Field, Raw
 
 _UNPROTECTED = FrameIntegrity()
 _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
@@ -46,14 +45,12 @@ class MessageCodec:
     does.
     """
 
-    def __init__(  # noqa: PLR0913 - one for each property of a message
+    def __init__(
         self,
         message: Message,
         integrity: FrameIntegrity | None = None,
+        fields: Mapping[str, Field] | None = None,
         *,
-        wanted: Collection[str] | None = None,
-        measured: Collection[str] = (),
-        states: Mapping[str, float] = _NOTHING,
         cycle_s: float = 0.0,
     ) -> None:
         """Compile a message.
@@ -61,10 +58,8 @@ class MessageCodec:
         Args:
             message: The message.
             integrity: Its alive counter and checksum; None for neither.
-            wanted: Signals to decode and to check, all of them when None.
-            measured: Signals whose largest raw value always means "not available".
-            states: Signals of which a value that says that nothing is known is no value, by its
-                name or with all its bits set, and the value of each that means on.
+            fields: How the signals are coded that are decoded and checked; all of them, as the DBC
+                has them, when None.
             cycle_s: Time from one frame to the next, 0 for a message of each half cycle.
         """
         integrity = integrity or _UNPROTECTED
@@ -75,19 +70,12 @@ class MessageCodec:
         self.key = frame_key(message.frame_id, extended=message.is_extended_frame)
         self.label = f"0x{message.frame_id:03X} ({message.name})"
         self.length = message.length
-        self._fields = {
-            signal.name: layout.compile_field(
-                signal,
-                measured=signal.name in measured,
-                state=signal.name in states,
-                on=states.get(signal.name),
-            )
-            for signal in message.signals
-        }
+        self._fields = {one.name: layout.compile_field(one) for one in message.signals}
+        self._fields.update(fields or {})
         self._prepare_proofs(message, integrity, cycle_s)
         idle = {name: one.idle for name, one in self._fields.items()}
         self._pack = _packer(message, {**idle, **self._fixed})
-        self._prepare_decoding(message, wanted)
+        self._prepare_decoding(message, fields)
 
     def _prepare_proofs(self, message: Message, integrity: FrameIntegrity, cycle_s: float) -> None:
         self._counter = integrity.counter
@@ -100,7 +88,6 @@ class MessageCodec:
         self._span = layout.checksum_span(message, checksum) if checksum else None
         if self._span is not None:
             self._checksum = checksum_function(integrity, 8 * (self._span[1] - self._span[0]))
-            self._covered = covered(integrity, self._span)
         self._proofs = {integrity.counter, integrity.checksum, integrity.nibble}
         data_id = integrity.data_id or 0
         self._fixed = {integrity.nibble: data_id >> 8 & 0xF} if integrity.nibble else {}
@@ -108,12 +95,12 @@ class MessageCodec:
         seen += [integrity.nibble]
         self._seen = _unpacker(message, filter(None, seen)) if any(seen) else None
 
-    def _prepare_decoding(self, message: Message, wanted: Collection[str] | None) -> None:
-        names = self._fields.keys() if wanted is None else wanted
-        self._wanted = tuple(self._fields[name] for name in names if name not in self._proofs)
+    def _prepare_decoding(self, message: Message, fields: Mapping[str, Field] | None) -> None:
+        wanted = self._fields if fields is None else fields
+        self._wanted = tuple(one for one in wanted.values() if one.name not in self._proofs)
         used = [one.name for one in self._wanted]
         self._unpack = _unpacker(message, [*used, *filter(None, [self._counter])])
-        self._is_exact = wanted is None or any(self._proofs)
+        self._is_exact = fields is None or any(self._proofs)
         read = [one for one in message.signals if one.is_multiplexer or one.name in used]
         ends = {one.name: layout.end_of(message, one) for one in read}
         self._paged = {one.name: ends[one.name] for one in read if one.multiplexer_ids}
@@ -229,7 +216,7 @@ class MessageCodec:
         if span is None:
             return True
         first, end, order = span
-        covered, held = self._covered(data), int.from_bytes(data[first:end], order)
+        covered, held = data[:first] + data[end:], int.from_bytes(data[first:end], order)
         if self._seen is None:
             return held == self._checksum(covered, 0)
         seen = self._seen(data)
@@ -242,7 +229,7 @@ class MessageCodec:
         if self._span is None:
             return data
         first, end, order = self._span
-        checksum = self._checksum(self._covered(data), counter)
+        checksum = self._checksum(data[:first] + data[end:], counter)
         return data[:first] + checksum.to_bytes(end - first, order) + data[end:]
 
     def _judge(self, raw: Mapping[str, Raw], *, repeated: bool) -> _Decoded:

@@ -221,8 +221,6 @@ class SignalCatalogue(binding.Catalogue[Located]):
         found = self._named(message.signals, signal, place, missing)
         problem = layout.signal_problem(message, found) if found else None
         self.note(place, problem and f"signal {signal!r} {problem}")
-        if found and not problem and (caution := layout.sign_caution(found[0])):
-            self.cautions.append(Flaw(place, f"{reference}: {caution}"))
         return Located(message, found[0]) if found and not problem else None
 
     def _named(self, known: Sequence[Named], name: str, place: str, missing: str) -> list[Named]:
@@ -324,9 +322,6 @@ def _crc_flaws(message: Message, integrity: FrameIntegrity, crc: Crc) -> Iterato
     for name in ("poly", "init", "xorout"):
         if (value := getattr(crc, name)) >> bits:
             yield f".crc.{name}", f"{value:#x} has more than the {bits} bits of the signal"
-    if missing := [at for at in crc.covers or () if at >= message.length]:
-        length = f"message {message.name!r} has {message.length} bytes, from 0"
-        yield ".crc.covers", f"{missing}: {length}"
 
 
 def _place_remarks(

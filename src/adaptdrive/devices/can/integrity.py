@@ -140,27 +140,6 @@ def _profile_1(integrity: FrameIntegrity, low: int, high: int) -> Checksum:
     return lambda data, _: crc(data)
 
 
-def covered(integrity: FrameIntegrity, span: Span) -> Callable[[bytes], bytes]:
-    """Return what takes the bytes that the checksum covers out of a frame.
-
-    Args:
-        integrity: Its form.
-        span: Where the checksum itself lies.
-    """
-    first, end, _ = span
-    covers = integrity.crc.covers if integrity.crc else None
-    if covers is None:
-        return lambda data: data[:first] + data[end:]
-    # the bytes of the checksum itself are taken from the zero that is put behind the frame
-    places = [-1 if first <= at < end else at for at in covers]
-
-    def take(data: bytes) -> bytes:
-        extended = data + b"\0"
-        return bytes([extended[at] for at in places])
-
-    return take
-
-
 class FrameVerdict(StrEnum):
     """Result of the checks of a frame; a refusal is named after the count that it adds to."""
 

@@ -187,17 +187,12 @@ class SensorPort(CountingPort):
     def _pass_on(
         self, message: assembly.StatusFrame, values: Mapping[str, float], arrival_s: float
     ) -> None:
-        found = {
-            one.quantity: value * one.scale + one.offset
-            for one in message.sources
-            if (value := values.get(one.field.name)) is not None
-        }
         self._good_s = self._clock()
         if self._silent:
             self._silent = False
             self._connection.report(up=True)
         if self._connection.listener is not None:
-            self._connection.listener.on_values(found, arrival_s)
+            self._connection.listener.on_values(message.quantities(values), arrival_s)
 
     async def _watch_silence(self) -> None:
         """Report when nothing good has come for as long as a value may be held."""

@@ -23,6 +23,7 @@ from adaptdrive.config.bus import CanBus, CanDescription, FrameIntegrity, Signal
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.can import assembly, database, layout
 from adaptdrive.devices.can.codec import MessageCodec
+from adaptdrive.devices.field import Field
 from adaptdrive.safety.timing import Timing
 from adaptdrive.util.errors import ConfigurationError, nearest
 
@@ -61,11 +62,11 @@ def map_drive(
     clock = catalogue.message(bus.clock_message, "bus.clock")
     if clock is not None and bus.clock_signal and not catalogue.find(bus.clock, "bus.clock"):
         clock = None
-    bound = {one.quantity: one for one in catalogue.sources(signals.entries(), demands)}
+    found = catalogue.sources(signals.entries(), demands)
+    bound = [_source(catalogue, bus, timing, clock, one) for one in found]
     sources: dict[str, list[_Source]] = {}
-    for one in bound.values():
-        found = _source(catalogue, bus, timing, clock, one)
-        sources.setdefault(one.item.message.name, []).append(found)
+    for one in bound:
+        sources.setdefault(one.item.message.name, []).append(one)
     sinks = catalogue.sinks(signals.command, demands)
     parts = find_orders(catalogue, [*sinks, *_copies(catalogue, signals, demands)])
     setup = find_orders(catalogue, catalogue.settings(bus.setup, "bus.setup"), "bus.setup")
@@ -82,13 +83,14 @@ def map_drive(
     catalogue.check_uses({"signals": sources, "signals.command": parts, "bus.setup": own})
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
-    counter = bound.get("counter")
+    counter = next((one for one in bound if one.quantity == "counter"), None)
     commanded = tuple(
         replace(one, every_s=bus.send_every_s.get(one.codec.name, 0.0))
         for one in build_orders(catalogue, bus.integrity, parts)
     )
     codecs = {one.codec.name: one.codec for one in commanded}
     return assembly.CanMapping(
+        sources=tuple(bound),
         statuses=tuple(
             status_frame(catalogue, bus, *item, database.cycle_time_s(catalogue.known(item[0])))
             for item in sources.items()
@@ -98,8 +100,6 @@ def map_drive(
         clock=bus.clock_message,
         page=bus.clock_signal,
         counter_modulus=None if counter is None else layout.counter_modulus(counter.field),
-        faults=binding.watched_words(bound.values()),
-        others=binding.other_names(bound.values()),
         timing=timing,
         cautions=tuple(catalogue.cautions),
     )
@@ -179,19 +179,14 @@ def status_frame(
         sources: What is taken from it.
         cycle_s: Time from one of its frames to the next, 0 for a message of each half cycle.
     """
-    sources = tuple(sources)
-    codec = MessageCodec(
-        catalogue.known(name),
-        bus.integrity.get(name),
-        wanted=dict.fromkeys(one.field.name for one in sources),
-        measured={one.field.name for one in sources if not binding.is_word(one.quantity)},
-        states={
-            one.field.name: 1.0 if one.on is None else one.on
-            for one in sources
-            if one.quantity == binding.BRIDGE
-        },
-        cycle_s=cycle_s,
-    )
+    sources, fields = tuple(sources), dict[str, Field]()
+    for one in sources:
+        coded, signal = one.field, one.item.signal
+        if one.quantity == binding.BRIDGE:
+            coded = layout.compile_field(signal, state=True, on=one.on)
+        fields[signal.name] = coded.within(fields.get(signal.name, coded))
+    integrity = bus.integrity.get(name)
+    codec = MessageCodec(catalogue.known(name), integrity, fields, cycle_s=cycle_s)
     return assembly.StatusFrame(codec, sources)
 
 
@@ -205,7 +200,7 @@ def _copies(
     catalogue: database.SignalCatalogue, signals: Signals, demands: description.Demands
 ) -> Iterator[_Part]:
     """Yield the destination of each measured value that is sent back; flaws are collected."""
-    known = [name for name, _, _ in signals.entries() if not binding.is_word(name)]
+    known = [name for name, _, _ in signals.entries() if not description.is_word(name)]
     for name, entry in signals.command.copies.items():
         place, item = f"signals.command.copies.{name}", None
         if name in known:

@@ -3,7 +3,7 @@
 Everything that can be wrong is found here, before a bus is opened, and all of it at once.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -14,15 +14,14 @@ from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
 
 from adaptdrive.config.bus import CanOpenBus, Signals
-from adaptdrive.control.signals import Command
 from adaptdrive.devices import binding, description
+from adaptdrive.devices.can.assembly import CommandFrame, StatusFrame
 from adaptdrive.devices.can.bus import channel_flaws
 from adaptdrive.devices.can.codec import MessageCodec
 from adaptdrive.devices.canopen import dictionary
 from adaptdrive.devices.canopen.dictionary import Address, Entry, ObjectCatalogue, label, read_eds
 from adaptdrive.devices.canopen.profile import CONTROLWORD, CONTROLWORDS, STATUSWORD
 from adaptdrive.devices.port import NewestValues
-from adaptdrive.safety.facts import FaultWord
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
 # Process data objects: packing entries into frames, and the codec of each frame.
@@ -138,6 +137,9 @@ _NEEDED = {
     CONTROLWORD: "it is no CiA 402 drive",
     STATUSWORD: "it is no CiA 402 drive",
 }
+WORD = "controlword"
+"""Name of what a frame of the command carries besides the command."""
+
 _WORD_BITS = 16
 _OURS = frozenset(index for index, _ in (*_NEEDED, *_ASKED, *_OPTIONAL))
 _FIRST_PDO, _BEHIND_PDOS = 0x1400, 0x1C00
@@ -146,73 +148,38 @@ _FIRST_OF_DEVICE = 0x2000
 
 
 @dataclass(frozen=True, slots=True)
-class StatusPdo:
-    """A PDO that carries measurements, and what is taken from it."""
-
-    pdo: Pdo
-    codec: MessageCodec
-    sources: tuple[description.Source[Entry], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class CommandPdo:
-    """A PDO that carries the command, its controlword or both."""
-
-    pdo: Pdo
-    codec: MessageCodec
-    sinks: tuple[description.Sink[Entry], ...]
-
-    def encode(self, command: Command, word: int) -> tuple[int, bytes]:
-        """Return the id and the bytes of its frame.
-
-        Args:
-            command: The command.
-            word: Controlword.
-
-        Raises:
-            ValueError: A value is not finite, or its object cannot hold it.
-        """
-        values: dict[str, float | None] = {one.item.label: one.value(command) for one in self.sinks}
-        if any(entry.address == CONTROLWORD for entry in self.pdo.entries):
-            values[label(CONTROLWORD)] = word
-        return self.codec.frame_id, self.codec.encode(values)
-
-
-@dataclass(frozen=True, slots=True)
 class CanOpenMapping:
     """Objects and properties of one drive, for its port.
 
     Attributes:
-        statuses: PDOs that the drive sends.
-        orders: PDOs that the drive takes.
+        sources: Every quantity that is measured.
+        statuses: What is taken from the PDOs that the drive sends.
+        orders: What goes into those that it takes; its controlword is a copy of that name.
+        sent: PDOs that it sends.
+        taken: PDOs that it takes.
         unused: PDOs of the drive that are switched off.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
         setup: Entries that the configuration writes, their bytes, whether they read as written.
         present: Optional entries that the drive has.
         identity: Identity object that the drive must have to be the one of the EDS.
         cautions: What can be used, and is probably not meant.
-        faults: Watched words of the drive, of faults and warnings.
     """
 
-    statuses: tuple[StatusPdo, ...]
-    orders: tuple[CommandPdo, ...]
+    sources: tuple[description.Source[Entry], ...]
+    statuses: tuple[StatusFrame, ...]
+    orders: tuple[CommandFrame, ...]
+    sent: tuple[Pdo, ...]
+    taken: tuple[Pdo, ...]
     unused: tuple[Pdo, ...]
     counter_modulus: int | None
     setup: tuple[tuple[Entry, bytes, bool], ...]
     present: frozenset[Address]
     identity: tuple[tuple[Address, int], ...]
     cautions: tuple[Flaw, ...]
-    faults: Mapping[str, FaultWord]
-
-    @property
-    def sources(self) -> tuple[description.Source[Entry], ...]:
-        """Every quantity that is measured."""
-        return tuple(source for status in self.statuses for source in status.sources)
 
     def newest_values(self) -> NewestValues:
         """Return the values of the drive, none of which is known yet."""
-        slacks = dict.fromkeys([binding.BRIDGE, *(one.quantity for one in self.sources)], 0.0)
-        return NewestValues(slacks, binding.other_names(self.sources), self.faults)
+        return NewestValues(self.sources, binding.BRIDGE)
 
 
 def map_drive(
@@ -234,7 +201,7 @@ def map_drive(
     """
     catalogue = ObjectCatalogue(*read_eds(bus.eds, bus.node_id, source))
     catalogue.flaws.extend(channel_flaws(bus))
-    sources = catalogue.sources(signals.entries(), demands)
+    sources = [_labelled(one) for one in catalogue.sources(signals.entries(), demands)]
     sinks = catalogue.sinks(signals.command, demands)
     _check_needed(catalogue)
     sent = [catalogue.at(STATUSWORD), *(one.item for one in sources)]
@@ -250,20 +217,38 @@ def map_drive(
         raise ConfigurationError(source, catalogue.flaws)
     counters = (one for one in sources if one.quantity == "counter")
     return CanOpenMapping(
-        statuses=tuple(StatusPdo(pdo, codec(pdo), _carried(pdo, sources)) for pdo in transmits),
-        orders=tuple(CommandPdo(pdo, codec(pdo), _carried(pdo, sinks)) for pdo in receives),
+        sources=tuple(sources),
+        statuses=tuple(StatusFrame(codec(pdo), _carried(pdo, sources)) for pdo in transmits),
+        orders=tuple(_order(pdo, _carried(pdo, sinks)) for pdo in receives),
+        sent=tuple(transmits),
+        taken=tuple(receives),
         unused=(*unsent, *untaken),
         counter_modulus=next((int(one.field.high) + 1 for one in counters), None),
         setup=setup,
         present=frozenset(one for one in _OPTIONAL if catalogue.at(one)),
         identity=catalogue.identity,
         cautions=tuple(catalogue.cautions),
-        faults=binding.watched_words(sources),
     )
 
 
 def _carried(pdo: Pdo, bound: Iterable[Bound]) -> tuple[Bound, ...]:
     return tuple(one for one in bound if one.item in pdo.entries)
+
+
+def _labelled(source: description.Source[Entry]) -> description.Source[Entry]:
+    """Return a source whose field has the name of its signal in a PDO."""
+    return replace(source, field=replace(source.field, name=source.item.label))
+
+
+def _order(pdo: Pdo, sinks: Iterable[description.Sink[Entry]]) -> CommandFrame:
+    """Return what goes into a PDO."""
+    words = [one for one in pdo.entries if one.address == CONTROLWORD]
+    return CommandFrame(
+        codec(pdo),
+        parts={one.item.label: one for one in sinks},
+        fixed={},
+        copies={one.label: description.Sink(WORD, one, one.coding, 0.0, 1.0) for one in words},
+    )
 
 
 def _check_needed(catalogue: ObjectCatalogue) -> None:

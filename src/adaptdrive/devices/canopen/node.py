@@ -21,9 +21,10 @@ import can
 from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.devices import binding, bus, port
 from adaptdrive.devices.can import connection, integrity
+from adaptdrive.devices.can.assembly import StatusFrame
 from adaptdrive.devices.can.bus import describe_bus
 from adaptdrive.devices.canopen import dictionary, profile, sdo
-from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo
+from adaptdrive.devices.canopen.mapping import CanOpenMapping
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.monitor import Monitor
 from adaptdrive.safety.timing import Timing
@@ -77,7 +78,7 @@ class Reports:
         self._came.clear()
         self._sampled_s = sampled_s
 
-    def take(self, status: StatusPdo, data: bytes, arrival_s: float) -> bool:
+    def take(self, status: StatusFrame, data: bytes, arrival_s: float) -> bool:
         """Take one PDO.
 
         Args:
@@ -154,13 +155,9 @@ class Reports:
         else:
             self._monitor.report(on=on, asked_s=self._sampled_s, came_s=came_s)
 
-    def _follow(self, status: StatusPdo, found: Mapping[str, float]) -> dict[str, float]:
+    def _follow(self, status: StatusFrame, found: Mapping[str, float]) -> dict[str, float]:
         """Follow statusword and faults of a PDO; return its values by quantity."""
-        values = {
-            one.quantity: found[one.item.label] * one.scale + one.offset
-            for one in status.sources
-            if one.item.label in found
-        }
+        values = status.quantities(found)
         self.faults.see(values)
         statusword = found.get(_STATUSWORD)
         if statusword is not None:

@@ -20,9 +20,10 @@ from adaptdrive.config.bus import CanOpenBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.bus import BusKind, Row, bus_of, stale_limits
+from adaptdrive.devices.can.assembly import StatusFrame
 from adaptdrive.devices.can.integrity import PROMPT_S
 from adaptdrive.devices.canopen import node, profile, sdo
-from adaptdrive.devices.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
+from adaptdrive.devices.canopen.mapping import WORD, CanOpenMapping, map_drive
 from adaptdrive.safety.monitor import Verdict
 from adaptdrive.safety.timing import Timing, timing_of
 from adaptdrive.safety.trips import Trip, TripKind
@@ -112,7 +113,7 @@ class Port(node.NodePort):
             ValueError: A value is not finite, or its object cannot hold it; nothing is sent.
         """
         word = self._control.controlword(command)
-        frames = [order.encode(command, word) for order in self._mapping.orders]
+        frames = self._frames(command, word)
         self.monitor.command(command)
         if not self._master.ready:
             self._counts["send_drops"] += 1
@@ -127,6 +128,11 @@ class Port(node.NodePort):
         if self.monitor.verdict is not Verdict.DISOBEYS:
             self._beat()
         return True
+
+    def _frames(self, command: Command, word: int) -> list[tuple[int, bytes]]:
+        """Return the ids and the bytes of the frames of a command with a controlword."""
+        orders, words = self._mapping.orders, {WORD: float(word)}
+        return [(one.codec.frame_id, one.encode(command, words)) for one in orders]
 
     def catch_up(self) -> None:
         """Process the frames that have arrived, but were not read yet."""
@@ -215,7 +221,7 @@ class Port(node.NodePort):
             self._emergency = emergency
             self._control.fall(Trip(TripKind.EMERGENCY, str(emergency)))
 
-    def _take_pdo(self, status: StatusPdo, frame: can.Message) -> None:
+    def _take_pdo(self, status: StatusFrame, frame: can.Message) -> None:
         if not self._master.ready:
             return  # whatever it carries, it is not what the drive has been set up for
         waited_s = self._arrivals.waited_s(frame)
@@ -243,8 +249,8 @@ class Port(node.NodePort):
     def _disable_lost(self) -> None:
         """Send the safe command, and no heartbeat, to a lost node that may still take it."""
         if self._master.mapped:
-            for order in self._mapping.orders:
-                self._connection.put(*order.encode(SAFE_COMMAND, profile.DISABLE_VOLTAGE))
+            for frame in self._frames(SAFE_COMMAND, profile.DISABLE_VOLTAGE):
+                self._connection.put(*frame)
 
     def _beat(self) -> None:
         """Send the daemon's heartbeat where the next command would be too late for it."""

@@ -259,10 +259,10 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
         (server.settle if known else server.offer)(address, data)
     for pdo in mapping.unused:
         _switch_off(server, pdo)
-    for status in mapping.statuses:
-        _describe(server, status.pdo, _EACH_SYNC)
-    for order in mapping.orders:
-        _describe(server, order.pdo, _ON_ARRIVAL)
+    for pdo in mapping.sent:
+        _describe(server, pdo, _EACH_SYNC)
+    for pdo in mapping.taken:
+        _describe(server, pdo, _ON_ARRIVAL)
     for entry, data, reads in mapping.setup:
         write = server.write_surely if reads else server.write
         write(entry.address, data)

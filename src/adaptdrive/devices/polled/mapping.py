@@ -5,18 +5,16 @@ Everything that can be wrong is found here, before a link is opened, and all of 
 
 import functools
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from adaptdrive.config import Configuration, polled
-from adaptdrive.config.bus import CommandSwitch
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.description import Sink, Source
 from adaptdrive.devices.field import Field
 from adaptdrive.devices.polled import registers
-from adaptdrive.safety.facts import FaultWord
 from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.errors import ConfigurationError, Flaw
 
@@ -57,22 +55,6 @@ class RegisterCatalogue(binding.Catalogue[Named]):
     def count_problem(self, item: Named) -> str | None:  # noqa: ARG002 - polls are counted by none
         """Return None: no tick is counted by a register."""
         return None
-
-    def _switches(
-        self, switch: CommandSwitch | None, name: str = binding.BRIDGE
-    ) -> Iterator[Sink[Named]]:
-        if switch is None or switch.off_signal is None or name != binding.BRIDGE:
-            yield from super()._switches(switch, name)
-            return
-        place = "signals.command.bridge"
-        if switch.on is not None or switch.off is not None:
-            self.note(place, "with off_signal both coils are set to 1: leave on and off out")
-        for coil, on in ((switch.signal, True), (switch.off_signal, False)):
-            item = Named(coil, self._registers[coil])
-            if item.register.table != "coil":
-                self.note(place, f"{coil!r} is no coil, which off_signal needs")
-            field = self.field(item, "command")
-            yield Sink(binding.BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
 
 
 def value_in(source: Source[Named], block: registers.Block, words: list[int]) -> float | None:
@@ -136,22 +118,20 @@ class Poll:
     """Exchanges with the drive in one poll cycle.
 
     Attributes:
+        sources: Where each quantity comes from.
         reads: Blocks to read, and what is taken from each.
         writes: Blocks to write, and what goes into each.
         combined: Whether the only write travels with the first read.
         interval_s: Longest time between two writes of the same registers, 0 for each poll.
         setup: What is written before the drive is commanded, whether it reads as written.
-        other: Names of more values of the drive.
-        faults: Watched words of the drive, of faults and warnings.
     """
 
+    sources: tuple[Source[Named], ...]
     reads: tuple[tuple[registers.Block, tuple[Source[Named], ...]], ...]
     writes: tuple[tuple[registers.Block, tuple[Sink[Named], ...]], ...]
     combined: bool
     interval_s: float = 0.0
     setup: tuple[tuple[registers.Block, Sink[Named], bool], ...] = ()
-    other: tuple[str, ...] = ()
-    faults: Mapping[str, FaultWord] = field(default_factory=dict)
 
     @property
     def bridge_block(self) -> registers.Block | None:
@@ -212,6 +192,7 @@ def map_drive(
     limited = [one for one in written_to if one.write_limit is not None]
     writes = *plan(one for one in written_to if one.write_limit is None), *plan(limited)
     poll = Poll(
+        sources=tuple(bound),
         reads=tuple((block, inside(block, sources)) for block in reads),
         writes=tuple((block, inside(block, sinks)) for block in writes),
         combined=bus.write == "with-read",
@@ -221,8 +202,6 @@ def map_drive(
             for one in setup
             for block in plan([one.item.register])
         ),
-        other=binding.other_names(bound),
-        faults=binding.watched_words(bound),
     )
     flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
     if not flaws:

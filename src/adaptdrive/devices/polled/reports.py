@@ -219,9 +219,7 @@ class PollAssembly:
         self._poll = poll
         self._heartbeat = heartbeat
         self._explain = explain
-        sources = (one.quantity for _, read in poll.reads for one in read)
-        slacks = {name: 0.0 for name in sources if name != HEARTBEAT}
-        self._newest = port.NewestValues(slacks, poll.other, poll.faults)
+        self._newest = port.NewestValues(poll.sources)
         self._values: dict[str, float] = {}
         self._refused: dict[str, str] = {}
         self._known_beat: float | None = None

@@ -11,8 +11,7 @@ from tests.unit.devices.canopen.documents import flaws, other_eds, plan, without
 
 def test_the_example_fits_into_two_pdos_of_the_drive_and_one_of_the_daemon() -> None:
     mapping = plan()
-    sends = [status.pdo for status in mapping.statuses]
-    takes = [order.pdo for order in mapping.orders]
+    sends, takes = mapping.sent, mapping.taken
     sent = {pdo.name: [entry.label for entry in pdo.entries] for pdo in sends}
     taken = {pdo.name: [entry.label for entry in pdo.entries] for pdo in takes}
     assert sent == {
@@ -86,7 +85,7 @@ def test_an_error_code_that_travels_in_no_pdo_is_left_to_the_emergencies(tmp_pat
 
 def test_one_object_may_be_two_quantities() -> None:
     mapping = plan({"signals/output": {"signal": "0x6079", "scale": 1e-3}})
-    labels = [entry.label for status in mapping.statuses for entry in status.pdo.entries]
+    labels = [entry.label for pdo in mapping.sent for entry in pdo.entries]
     assert labels.count("0x6079") == 1
     assert {"output", "boost_voltage_V"} <= {source.quantity for source in mapping.sources}
 
