@@ -58,7 +58,7 @@ def rows(extent: Extent) -> Iterator[Row]:
         stack.enter_context(process(words, stdout=subprocess.DEVNULL))
         windows = list(_windows(disk, extent.pick(20, 3, 1)))
         sessions = disk / "sessions"
-        (session,) = (path for path in sessions.iterdir() if path.name[0] != ".")
+        (session,) = sessions.glob("[!.]*/")
         until(lambda: _last_s(session) > windows[-1].end_s, "recording continues", PATIENCE_s)
         if site.stop_daemon() != 0:
             raise RuntimeError(site.daemon_log)

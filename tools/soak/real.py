@@ -116,5 +116,5 @@ def _flaws(site: Site, panel: Watcher) -> Iterator[str]:
     unknown = panel.replies.keys() - {one.id for one in session.commands}
     if unknown:
         yield f"{len(unknown)} answered commands are in no session: {sorted(unknown)[:3]}"
-    if len([*(site.folder / "sessions").glob("[!.]*")]) > 1:
+    if len([*(site.folder / "sessions").glob("[!.]*/")]) > 1:
         yield "there is more than one session"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import os
+import re
 import sys
 import threading
 import webbrowser
@@ -21,7 +22,7 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Any
 from urllib.parse import parse_qs, quote, urlsplit
 
 from cyclopts import Parameter, validators
@@ -124,6 +125,7 @@ class _Desk:
         """
         self._path, self._contact = path, contact
         self._broker, self._drive = configuration.mqtt, configuration.drive.name
+        self._recorded = configuration.recording.directory
         self._processes, self._ports = processes.ProcessGroup(os.environ), processes.Ports()
         self._printed: list[str] = []
 
@@ -212,20 +214,21 @@ class _Desk:
         return websocket
 
     async def _start_panel(self, websocket: int) -> None:
-
         host = self._broker.host
         if not processes.is_listening(host, websocket):
             missing = f"the broker has no WebSocket listener at {host}:{websocket}"
             self._print(f"panel: none, as {missing}")
             return
         page, address = self._ports.take(usual=_PAGE), f"ws://{host}:{websocket}/mqtt"
+        sessions = session.sessions_directory(self._recorded, os.environ)
         words = ["panel", "--no-open", f"--port={page}", f"--broker={address}"]
+        words.append(f"--sessions={sessions}")
         panel = await self._processes.start("panel", _CLI, words, self._output("panel"))
         await panel.until_listening(page)
         self._print(f"panel: {panel_address(page, address)}")
 
 
-# `adaptdrive panel`: the panel's folder and reports of sessions on loopback, for a desk.
+# `adaptdrive panel`: the panel's folder, sessions and reports of them on loopback, for a desk.
 
 FOLDER = Path(__file__).parents[1] / "panel"
 HEADERS = {
@@ -236,24 +239,32 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-cache",
 }
-_REPORT = "/report.html"
+_SERVED = re.compile(
+    r"/sessions/[\w-]+/((?:[^/.][^/]*/)*(?:index\.json|overview\.json|[^/.]+\.parquet))"
+)
+"""Path of what the page reads of sessions, below a folder of each drive."""
+_REPORT, _SESSIONS = "/report.html", "/sessions/"
 _REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'"
 _ONE_REPORT = threading.Lock()
 """Reports are drawn one by one: each takes a processor for seconds."""
 
 
 class PanelHandler(SimpleHTTPRequestHandler):
-    """Serves the files of the panel and reports; lists no folder and writes no line."""
+    """Serves the files of the panel, sessions and reports; lists no folder and writes no line."""
 
     _headers_sent = HEADERS
 
+    def __init__(self, *connection: Any, sessions: Path) -> None:  # noqa: ANN401 - the base's
+        self._sessions = sessions
+        super().__init__(*connection, directory=str(FOLDER))
+
     def do_GET(self) -> None:
-        """Send a file of the panel, or the report of the last session of a drive."""
+        """Send a file of the panel or of a session, or the report of a drive's last session."""
         asked = urlsplit(self.path)
-        if asked.path != _REPORT:
-            super().do_GET()
-        elif self._is_foreign():
+        if asked.path.startswith((_REPORT, _SESSIONS)) and self._is_foreign():
             self.send_error(HTTPStatus.FORBIDDEN)
+        elif asked.path != _REPORT:
+            super().do_GET()
         else:
             self._send_report(parse_qs(asked.query).get("drive", [""])[0])
 
@@ -266,7 +277,7 @@ class PanelHandler(SimpleHTTPRequestHandler):
     def _send_report(self, drive: str) -> None:
         try:
             with _ONE_REPORT:
-                page = last_report(drive)
+                page = last_report(drive, self._sessions)
         except (AdaptdriveError, OSError) as problem:
             self.send_error(HTTPStatus.NOT_FOUND, explain=str(problem))
             return
@@ -286,6 +297,9 @@ class PanelHandler(SimpleHTTPRequestHandler):
     def translate_path(self, path: str) -> str:
         """Return the file of a request, that of an unknown page where its path can be none."""
         file = super().translate_path(path)
+        of_panel = f"/{Path(file).relative_to(FOLDER)}" if file.startswith(str(FOLDER)) else ""
+        if found := _SERVED.fullmatch(of_panel):
+            file = str(self._sessions / found[1])
         return file if file.isprintable() else str(FOLDER / "unknown")
 
     def list_directory(self, path: object) -> None:  # noqa: ARG002 - the base's signature
@@ -305,16 +319,17 @@ class PanelServer(ThreadingHTTPServer):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
-def panel_server(port: int) -> PanelServer:
+def panel_server(port: int, sessions: Path) -> PanelServer:
     """Return a server of the panel on the loopback interface.
 
     Args:
         port: TCP port, 0 for a free one.
+        sessions: Folder of the sessions.
 
     Raises:
         AdaptdriveError: The port is in use.
     """
-    handler = functools.partial(PanelHandler, directory=str(FOLDER))
+    handler = functools.partial(PanelHandler, sessions=sessions)
     try:
         return PanelServer(("127.0.0.1", port), handler)
     except OSError as problem:
@@ -336,6 +351,7 @@ def panel(
     *,
     broker: Annotated[str, Parameter(env_var="ADAPTDRIVE_WEBSOCKET")] = "ws://127.0.0.1:8083/mqtt",
     port: Annotated[Integer, Parameter(validator=validators.Number(gte=0, lte=65535))] = 8088,
+    sessions: Path | None = None,
     show: Annotated[bool, Parameter(name="--open")] = True,
 ) -> int:
     """Serve the panel on the loopback interface until Ctrl-C, and open it in a browser.
@@ -343,9 +359,10 @@ def panel(
     Args:
         broker: Address of the broker's WebSocket listener, ws://… or wss://….
         port: TCP port of the page, 0 for a free one.
+        sessions: Folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out.
         show: Open the page in a browser.
     """
-    with panel_server(port) as server:
+    with panel_server(port, session.sessions_directory(sessions, os.environ)) as server:
         address = panel_address(server.server_port, broker)
         print(f"panel: {address}   (Ctrl-C ends)", flush=True)
         if show:  # where it is in the terminal, the call lasts until it is left
@@ -354,11 +371,12 @@ def panel(
     return 0
 
 
-def last_report(drive: str) -> bytes:
+def last_report(drive: str, sessions: Path) -> bytes:
     """Draw the last session of a drive, the running one as far as it is; return its HTML page.
 
     Args:
         drive: Name of the drive.
+        sessions: Folder of the sessions.
 
     Raises:
         AdaptdriveError: There is none, or it cannot be read.
@@ -367,12 +385,11 @@ def last_report(drive: str) -> bytes:
     from adaptdrive.analysis.figures import plot  # noqa: PLC0415 - it is large
 
     with TemporaryDirectory() as folder:
-        _, report = plot(_last_session(drive), into=Path(folder))
+        _, report = plot(_last_session(drive, sessions), into=Path(folder))
         return report.read_bytes()
 
 
-def _last_session(drive: str) -> Path:
-    sessions = session.sessions_directory(None, os.environ)
+def _last_session(drive: str, sessions: Path) -> Path:
     for path in reversed(list(session.session_directories(sessions))):
         if session.read_info(path).drive == drive:
             return path

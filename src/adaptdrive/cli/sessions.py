@@ -15,7 +15,7 @@ from adaptdrive.cli.explain import with_kind
 from adaptdrive.cli.options import Json, Settings, print_each, print_json, refusing
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.recording import log_files, reader, retention, segments
+from adaptdrive.recording import log_files, overview, reader, retention, segments
 from adaptdrive.recording import replay as replaying
 from adaptdrive.recording import session as folders
 from adaptdrive.recording.records import EventRow, Keep, Kind
@@ -172,6 +172,8 @@ def prune(
     keep = Keep(keep_days, None if keep_MB is None else round(keep_MB * 1e6))
     removals = retention.prune(_folder(directory), keep, datetime.now(UTC))
     print_each(((sentence, sentence) for sentence in removals), as_json)
+    if _folder(directory).is_dir():
+        overview.update_index(_folder(directory))
     return 0
 
 

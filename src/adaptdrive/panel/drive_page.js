@@ -13,7 +13,7 @@ const DrivePage = (() => {
     const age = Dom.make("span.age");
     const stop = Controls.stop(drive, answer, () => bar);
     const now = present();
-    const bar = Dom.make("header.bar", {}, Dom.make("a", { href: "#", "aria-label": "all drives" }, "‹ drives"), title, state, open, age, stop);
+    const bar = Dom.make("header.bar", {}, Dom.make("a", { href: "#", "aria-label": "all drives" }, "‹ drives"), title, state, open, age, Dom.make("a", { href: `#${drive.name}/sessions` }, "sessions"), stop);
     const plotted = Dom.make("section.plots", { "aria-label": "plots" });
     const latest = Dom.make("ol.latest", { "aria-label": "latest events" });
     const events = Dom.make("ol.events");
@@ -41,8 +41,8 @@ const DrivePage = (() => {
       plots.draw();
       if (seen === drive.eventVersion) return;
       seen = drive.eventVersion;
-      latest.replaceChildren(...drive.events.slice(0, LATEST).map(eventRow));
-      events.replaceChildren(...drive.events.slice(0, 30).map(eventRow));
+      latest.replaceChildren(...drive.events.slice(0, LATEST).map((one) => eventRow(one, drive.name)));
+      events.replaceChildren(...drive.events.slice(0, 30).map((one) => eventRow(one, drive.name)));
     }
 
     /** @param {KeyboardEvent} key */
@@ -76,15 +76,16 @@ const DrivePage = (() => {
 
   /** A trip: when, why, what to do, and the button that ends it. @param {HTMLElement} reset */
   function banner(reset) {
-    const cause = Dom.make("strong"), kind = Dom.make("small.kind"), advice = Dom.make("p");
-    const root = Dom.make("div.alarm", { role: "alert", hidden: true }, Dom.make("div", {}, cause, kind, advice), reset);
-    return { root, draw(/** @type {DriveView} */ { state }) {
+    const cause = Dom.make("strong"), kind = Dom.make("small.kind"), advice = Dom.make("p"), record = Dom.make("a", {}, "record of this trip");
+    const root = Dom.make("div.alarm", { role: "alert", hidden: true }, Dom.make("div", {}, cause, kind, advice, record), reset);
+    return { root, draw(/** @type {DriveView} */ { name, state }) {
       root.hidden = !state?.trip;
       if (!state?.trip) return;
       const { time, remedy } = state.last_trip ?? { time: state.since, remedy: "" };
       Dom.say(cause, `Trip, ${Dom.date(Drives.timeS(time))}: ${Drives.cause(state)}`);
       Dom.say(kind, state.trip_kind);
       Dom.mark(kind, "title", Drives.explain(state.trip_kind));
+      Dom.mark(record, "href", `#${name}/sessions/@${time}`);
       Dom.say(advice, remedy && `What to do: ${remedy}`);
     } };
   }
@@ -204,11 +205,11 @@ const DrivePage = (() => {
     return kinds.reduce((sum, kind) => sum + (bus[kind] ?? 0), 0);
   }
 
-  /** @param {DriveEvent} event */
-  function eventRow(event) {
+  /** @param {DriveEvent} event @param {string} drive */
+  function eventRow(event, drive) {
     const remedy = event.remedy && !event.detail.includes(event.remedy) ? Dom.make("small", {}, event.remedy) : "";
     const kind = event.trip_kind ? Dom.make("small.kind", { title: Drives.explain(event.trip_kind) }, event.trip_kind) : "";
-    return Dom.make("li", { "data-severity": event.severity }, Dom.make("time", {}, Dom.clock(Drives.timeS(event.time))), Dom.make("b", {}, event.kind), event.detail, kind, remedy);
+    return Dom.make("li", { "data-severity": event.severity }, Dom.make("time", {}, Dom.clock(Drives.timeS(event.time))), Dom.make("b", {}, event.kind), event.detail, kind, remedy, ...(event.trip_kind ? [Dom.make("a", { href: `#${drive}/sessions/@${event.time}` }, "its record")] : []));
   }
 
   return { open };

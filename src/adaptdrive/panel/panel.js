@@ -12,9 +12,10 @@
     page?.end();
     body.replaceChildren();
     body.className = "";
-    const name = location.hash.slice(1); // no name of a drive has a letter that an address encodes
+    const [name, view, ...rest] = location.hash.slice(1).split("/"); // no name of a drive has a letter that an address encodes
     document.title = name ? `${name} · adaptdrive` : "adaptdrive";
-    page = name ? DrivePage.open(body, Drives.named(name)) : SitePage.open(body);
+    if (name && view === "sessions") page = SessionsPage.open(body, Drives.named(name), rest.join("/"));
+    else page = name ? DrivePage.open(body, Drives.named(name)) : SitePage.open(body);
     page.draw();
   }
 

@@ -138,5 +138,5 @@ const Payloads = (() => {
     return message && (UNTIMED.has(kind) || isTimed(message)) ? message : null;
   }
 
-  return { shaped };
+  return { shaped, text, number, fields, map };
 })();

@@ -11,6 +11,7 @@ const Plots = (() => {
   const SYNC = "drive";
 
   /** @typedef {{from: number, to: number}} Window */
+  /** @typedef {{incrs: number[], values: (...of: any[]) => string[], say: (timeS: number) => string, shortestS: number}} TimeAxis */
 
   /** @param {string} name */
   function colour(name) {
@@ -48,6 +49,8 @@ const Plots = (() => {
     };
   }
 
+  /** @type {TimeAxis} */ const CLOCK = { incrs: STEPS_S, values: clock, say: Dom.clock, shortestS: SHORTEST_ZOOM_S };
+
   /** As many digits as tell two marks of an axis apart.
    * @param {any} _ @param {number[]} marks @param {number} __ @param {number} ___ @param {number} step */
   function digits(_, marks, __, ___, step) {
@@ -84,19 +87,20 @@ const Plots = (() => {
 
   /** Make one plot.
    * @param {HTMLElement} parent @param {string} title @param {any[]} lines
-   * @param {{marks: Mark[], zoom: (window: Window|null) => void}} owner
+   * @param {{marks: Mark[], zoom: (window: Window|null) => void, axis?: TimeAxis}} owner
    * @param {() => [number|null, number|null]|undefined} [limits] @param {any[]} [bands] */
   function plot(parent, title, lines, owner, limits = () => undefined, bands = []) {
     const frame = Dom.make("figure.plot", {}, Dom.make("figcaption", {}, title));
     parent.append(frame);
+    const { incrs, values, say, shortestS } = owner.axis ?? CLOCK;
     const axis = () => ({ stroke: colour("--text-soft"), grid: { stroke: colour("--line"), width: 1 }, ticks: { show: false }, font: "11px system-ui", size: 58, values: digits });
     const chart = new uPlot({
       width: 300, height: HEIGHT,
       cursor: { sync: { key: SYNC }, points: { size: 5 }, drag: { x: true, y: false, setScale: false } },
       legend: { live: true },
-      axes: [{ ...axis(), size: 26, space: 70, incrs: STEPS_S, values: clock }, { ...axis(), space: 16 }],
+      axes: [{ ...axis(), size: 26, space: 70, incrs, values }, { ...axis(), space: 16 }],
       scales: { y: { range: reach(limits) } },
-      series: [{ label: "time", value: (/** @type {any} */ _, /** @type {number|null} */ at) => (at == null ? "–" : Dom.clock(at)) }, ...lines.map(series)],
+      series: [{ label: "time", value: (/** @type {any} */ _, /** @type {number|null} */ at) => (at == null ? "–" : say(at)) }, ...lines.map(series)],
       bands,
       hooks: {
         draw: [(/** @type {any} */ own) => drawMarks(own, owner.marks)],
@@ -105,7 +109,7 @@ const Plots = (() => {
           if (width < 4) return;
           const from = own.posToVal(left, "x"), to = own.posToVal(left + width, "x");
           own.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
-          if (to - from >= SHORTEST_ZOOM_S) owner.zoom({ from, to });
+          if (to - from >= shortestS) owner.zoom({ from, to });
         }],
       },
     }, lines.map(() => []).concat([[]]), frame);
@@ -253,5 +257,5 @@ const Plots = (() => {
     }
   }
 
-  return { open, reach };
+  return { open, reach, plot };
 })();

@@ -6,11 +6,9 @@ log therefore needs no repair but another run.
 """
 
 import bisect
-import fcntl
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import groupby
@@ -20,11 +18,12 @@ from typing import ParamSpec, TypeVar
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import log_files, reader, records, retention, segments, session
+from adaptdrive.recording import log_files, overview, reader, records, retention, segments, session
 from adaptdrive.recording.tables import NOTE_ROWS, table_schema, write_parquet
 from adaptdrive.runtime.reports import BINS, MONOTONIC, Severity, bin_of
 from adaptdrive.safety.trips import ADVICES, kind_of, remedy
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
+from adaptdrive.util.files import alone
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -75,7 +74,6 @@ def _schemas(info: session.SessionInfo) -> dict[str, pa.Schema]:
 
 # The record of a trip: a small session with the time around it.
 
-TEXT_FILE = "trip.txt"
 _BEFORE_S = 60.0
 """Time before a trip that its record begins."""
 
@@ -100,7 +98,9 @@ def _write_trips(
             with session.unfinished_folder(directory / f".{name}") as folder:
                 kept = _write_rows(folder, info, recent, around_s)
                 session.write_facts(folder, kept, header.config_text)
-                (folder / TEXT_FILE).write_text(_text(info.drive, trip, near), encoding="utf-8")
+                (folder / session.TRIP_TEXT).write_text(
+                    _text(info.drive, trip, near), encoding="utf-8"
+                )
                 written.append(folder.rename(directory / name))
     return written
 
@@ -210,7 +210,7 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
     failures: list[str] = []
     if not folder.exists():  # a daemon that begins may not have made it yet
         return written
-    with _alone(folder):
+    with alone(folder):
         # listed once: what the daemon begins meanwhile is for the next run, and stays
         files, live = log_files.log_files(folder), log_files.is_live(folder)
         for started, group in groupby(files, key=lambda file: file.session):
@@ -229,17 +229,6 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
             raise RecordingError(folder, "; ".join(failures))
         _remove_archived(files, live=live)
     return written
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Keep other archivers out."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)
 
 
 def _put_aside(files: Sequence[log_files.LogFile], report: Report) -> None:
@@ -271,7 +260,15 @@ def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> l
         keep = logged.header.keep
         for sentence in retention.prune(directory.parent, keep, datetime.now(UTC), directory):
             report(Severity.INFO, sentence)
+    _update_index(directory, report)
     return trips
+
+
+def _update_index(directory: Path, report: Report) -> None:
+    try:
+        overview.update_index(directory.parent, {directory.name})
+    except ERRORS as problem:  # only pages lack it: the log need not wait
+        report(Severity.WARNING, f"session {directory.name} has no overview: {problem}")
 
 
 def _directory(logged: _Logged) -> Path | None:

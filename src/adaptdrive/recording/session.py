@@ -32,6 +32,10 @@ INFO_FILE = "session.json"
 CONFIG_FILE = "config.toml"
 TRIP_PREFIX = "trip-"
 """Beginning of the name of a trip's record; without a session it is next to the sessions."""
+TRIP_TEXT = "trip.txt"
+"""File of a trip's record; its first line is the cause."""
+TIME_IN_NAME = "%Y%m%dT%H%M%S%fZ"
+"""A time as the names of files have it, such as `20261121T012209000000Z`."""
 
 
 class TableName(StrEnum):
@@ -220,8 +224,8 @@ def _name(info: SessionInfo) -> str:
 
 
 def time_in_name(time: datetime) -> str:
-    """Return a time as the names of files have it, such as `20261121T012209000000Z`."""
-    return f"{time:%Y%m%dT%H%M%S%fZ}"
+    """Return a time as the names of files have it."""
+    return time.strftime(TIME_IN_NAME)
 
 
 def session_directories(sessions: Path, files: Sequence[str] = (INFO_FILE,)) -> Iterator[Path]:

@@ -2,10 +2,12 @@
 
 import contextlib
 import errno
+import fcntl
 import os
 import secrets
 import stat
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from adaptdrive.util.errors import reason_of
@@ -97,6 +99,21 @@ def _replace(path: Path, content: bytes, unfinished: Path) -> None:
         problem.filename, problem.filename2 = str(path), None
         raise
     _sync_directory(path.parent)
+
+
+@contextlib.contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Keep every other process that asks for the same out of a folder.
+
+    Raises:
+        OSError: The folder cannot be opened.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _sync_directory(directory: Path) -> None:

@@ -374,7 +374,7 @@ class Site:
         """Return a recorded session, by default the last one; of a daemon that ended, all of it."""
         if self.daemon is None or self.daemon.poll() is not None:
             until(lambda: not self.recorders(), "the recorder has written the rest")
-        return sorted(self._sessions.glob("[!.]*"))[number]
+        return sorted(self._sessions.glob("[!.]*/"))[number]
 
     @property
     def _sessions(self) -> Path:

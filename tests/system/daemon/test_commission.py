@@ -80,7 +80,7 @@ def test_a_measured_load_is_applied_and_adaptive_is_in_force(site: Site) -> None
     until(arrived, "the output is at the set-point")
     gains = [
         tomllib.loads((one / "config.toml").read_text())["load"]["model"]["gain"]
-        for one in sorted((site.folder / "sessions").glob("[!.]*"))
+        for one in sorted((site.folder / "sessions").glob("[!.]*/"))
     ]
     assert gains == [0.011, model["gain"]]
     assert "reloaded; changed: [load]" in site.daemon_log

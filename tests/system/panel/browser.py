@@ -113,18 +113,21 @@ class PanelSite:
 
 @contextmanager
 def panel_site_in(
-    folder: Path, mosquitto: str, settings: Mapping[str, str] = MappingProxyType({})
+    folder: Path,
+    mosquitto: str,
+    settings: Mapping[str, str] = MappingProxyType({}),
+    page: Path = PANEL,
 ) -> Iterator[PanelSite]:
     """Start a drive, its daemon with further settings, and a broker that serves the panel."""
     port = free_port(socket.SOCK_STREAM)
-    launcher = MosquittoLauncher(mosquitto, folder, web_listener(folder, port))
+    launcher = MosquittoLauncher(mosquitto, folder, web_listener(folder, port, page))
     ports = free_port(socket.SOCK_STREAM), free_port(socket.SOCK_DGRAM)
     with closing(Site(folder, launcher, *ports, {**SETTINGS, **settings})) as site:
         site.start("--initial-voltage", "280")
         yield PanelSite(site, f"http://127.0.0.1:{port}/index.html")
 
 
-def web_listener(folder: Path, port: int) -> str:
+def web_listener(folder: Path, port: int, page: Path = PANEL) -> str:
     """Return the settings of a listener that serves the page, with the shipped rights."""
     users = folder / "users"
     users.touch()
@@ -136,10 +139,29 @@ def web_listener(folder: Path, port: int) -> str:
     lines = (
         f"listener {port} 127.0.0.1",
         "protocol websockets",
-        f"http_dir {PANEL}",
+        f"http_dir {page}",
         "allow_anonymous false",
         f"password_file {users}",
         f"acl_file {rights}",
         "user root",
     )
     return "\n".join(lines) + "\n"
+
+
+SIZES = ((1280, 860), (360, 740))
+JUDGE = """async () => (await axe.run(document)).violations.flatMap(
+  one => one.nodes.map(node => `${one.id}: ${node.target}: ${node.failureSummary}`))"""
+
+
+def violations(panel: Panel, axe: str) -> list[Any]:
+    """Return what is wrong in each size and colour scheme."""
+    session = panel.page.context.new_cdp_session(panel.page)  # past the policy of the page
+    found: list[Any] = []
+    for width, height in SIZES:
+        panel.page.set_viewport_size({"width": width, "height": height})
+        for scheme in ("light", "dark"):
+            panel.page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+            panel.page.wait_for_timeout(500)  # until the page has drawn with its new colours
+            session.send("Runtime.evaluate", {"expression": axe})
+            found += [(width, scheme, one) for one in panel.page.evaluate(JUDGE)]
+    return found

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
@@ -61,3 +64,17 @@ def _panel_site(
 def panel_site(outside: None, _panel_site: PanelSite) -> PanelSite:
     """One drive for all tests of a file."""
     return _panel_site
+
+
+@pytest.fixture(scope="module")
+def axe() -> str:
+    """The rules as a script."""
+    npm = shutil.which("npm")
+    if npm is None:
+        pytest.skip("npm is not installed")
+    command = [npm, "root", "--global"]
+    root = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
+    rules = Path(root.strip()) / "axe-core" / "axe.min.js"
+    if not rules.exists():
+        pytest.skip("axe-core is not installed (npm install --global axe-core)")
+    return rules.read_text(encoding="utf-8")

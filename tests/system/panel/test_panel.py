@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
-import subprocess
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 import paho.mqtt.publish as paho
@@ -16,7 +13,7 @@ import pytest
 from playwright.sync_api import Page, WebSocketRoute, expect
 
 from tests.system.daemon.site import publish, until
-from tests.system.panel.browser import PATIENCE_MS, Panel, PanelSite
+from tests.system.panel.browser import PATIENCE_MS, Panel, PanelSite, violations
 from tests.system.panel.conftest import MakePanel
 
 
@@ -379,39 +376,6 @@ def test_nothing_is_cut_off_at_any_width(
     assert stop["x"] + stop["width"] <= width
     assert stop["y"] + stop["height"] <= 900
     assert stop["height"] >= 44
-
-
-SIZES = ((1280, 860), (360, 740))
-JUDGE = """async () => (await axe.run(document)).violations.flatMap(
-  one => one.nodes.map(node => `${one.id}: ${node.target}: ${node.failureSummary}`))"""
-
-
-@pytest.fixture(scope="module")
-def axe() -> str:
-    """The rules as a script."""
-    npm = shutil.which("npm")
-    if npm is None:
-        pytest.skip("npm is not installed")
-    command = [npm, "root", "--global"]
-    root = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
-    rules = Path(root.strip()) / "axe-core" / "axe.min.js"
-    if not rules.exists():
-        pytest.skip("axe-core is not installed (npm install --global axe-core)")
-    return rules.read_text(encoding="utf-8")
-
-
-def violations(panel: Panel, axe: str) -> list[Any]:
-    """Return what is wrong in each size and colour scheme."""
-    session = panel.page.context.new_cdp_session(panel.page)  # past the policy of the page
-    found: list[Any] = []
-    for width, height in SIZES:
-        panel.page.set_viewport_size({"width": width, "height": height})
-        for scheme in ("light", "dark"):
-            panel.page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
-            panel.page.wait_for_timeout(500)  # until the page has drawn with its new colours
-            session.send("Runtime.evaluate", {"expression": axe})
-            found += [(width, scheme, one) for one in panel.page.evaluate(JUDGE)]
-    return found
 
 
 def test_everybody_can_read_and_operate_the_page(

@@ -16,13 +16,10 @@ from tests.unit.recording.material import INFO
 
 
 @pytest.fixture
-def report(
-    outside: None, session_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[str]:
+def report(outside: None, session_path: Path, tmp_path: Path) -> Iterator[str]:
     """Address of the report of the drive that has a session."""
     shutil.copytree(session_path, tmp_path / "sessions" / session_path.name)
-    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    with panel_server(0) as server:
+    with panel_server(0, tmp_path / "sessions") as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         yield f"http://127.0.0.1:{server.server_port}/report.html?drive={INFO.drive}"

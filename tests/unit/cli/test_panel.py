@@ -8,6 +8,7 @@ import threading
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -16,8 +17,23 @@ from adaptdrive.util.errors import AdaptdriveError
 
 
 @pytest.fixture
-def port(outside: None) -> Iterator[int]:
-    with panel_server(0) as server:
+def sessions(tmp_path: Path) -> Path:
+    """A folder with an index, a session, and files of no concern to a page."""
+    session = tmp_path / "sessions" / "20261121T012209Z_motor"
+    (session / "trip-1").mkdir(parents=True)
+    for name in ("index.json", "secret.json"):
+        (session.parent / name).write_text(name, encoding="utf-8")
+    for name in ("overview.json", "ticks-0001.parquet", "trip-1/overview.json", "config.toml"):
+        (session / name).write_text(name, encoding="utf-8")
+    (session / ".new-1").mkdir()
+    (session / ".new-1" / "overview.json").touch()
+    (tmp_path / "index.json").write_text("outside", encoding="utf-8")
+    return session.parent
+
+
+@pytest.fixture
+def port(outside: None, sessions: Path) -> Iterator[int]:
+    with panel_server(0, sessions) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         yield server.server_port
@@ -51,10 +67,10 @@ def test_nothing_else_is_served(port: int, path: str) -> None:
 
 
 def test_a_browser_that_goes_away_leaves_no_trace(
-    outside: None, capfd: pytest.CaptureFixture[str]
+    outside: None, sessions: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """The connection is reset before the request is served, in this thread."""
-    with panel_server(0) as server:
+    with panel_server(0, sessions) as server:
         with socket.create_connection(("127.0.0.1", server.server_port)) as browser:
             browser.sendall(b"GET / HTTP/1.1\r\n")
             browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -62,9 +78,53 @@ def test_a_browser_that_goes_away_leaves_no_trace(
     assert capfd.readouterr().err == ""
 
 
-def test_a_port_in_use_is_named(port: int) -> None:
+SESSION = "sessions/motor/20261121T012209Z_motor"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "sessions/motor/index.json",
+        f"{SESSION}/overview.json",
+        f"{SESSION}/ticks-0001.parquet",
+        f"{SESSION}/trip-1/overview.json",
+    ],
+)
+def test_what_the_page_reads_of_sessions_is_served(port: int, path: str) -> None:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/{path}") as answer:
+        assert path.endswith(answer.read().decode())
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("sessions/", "sessions/motor/", "sessions/index.json", f"{SESSION}/"),
+        *(f"{SESSION}/config.toml", f"{SESSION}/.new-1/overview.json"),
+        *("sessions/motor/secret.json", "sessions/motor/../../index.json"),
+        *("sessions/motor/%2e%2e/index.json", "sessions/motor/..%2findex.json"),
+        *("sessions/motor//../../index.json", "sessions/motor/x%2f..%2f..%2findex.json"),
+    ],
+)
+def test_nothing_else_of_sessions_is_served(port: int, path: str) -> None:
+    with pytest.raises(urllib.error.HTTPError) as refusal:
+        urllib.request.urlopen(f"http://127.0.0.1:{port}/{path}")
+    assert refusal.value.code == 404
+    refusal.value.close()
+
+
+def test_another_site_reads_no_session(port: int) -> None:
+    """By a name of its own for this host."""
+    address = f"http://127.0.0.1:{port}/sessions/motor/index.json"
+    asked = urllib.request.Request(address, headers={"Host": f"elsewhere:{port}"})
+    with pytest.raises(urllib.error.HTTPError) as refusal:
+        urllib.request.urlopen(asked)
+    assert refusal.value.code == 403
+    refusal.value.close()
+
+
+def test_a_port_in_use_is_named(port: int, sessions: Path) -> None:
     with pytest.raises(AdaptdriveError, match=f"port {port}"):
-        panel_server(port)
+        panel_server(port, sessions)
 
 
 def test_the_address_carries_the_broker() -> None:
