@@ -194,7 +194,7 @@ class ModbusDrive(DriveNode):
         poll = mapping.map_drive(configuration, self._config, source, passive=False)
         measured = {one.quantity: one for _, sources in poll.reads for one in sources}
         self._shown = {name: measured[name] for name in _SHOWN if name in measured}
-        sinks = (one for _, sinks in poll.writes for one in sinks)
+        sinks = (one for _, sinks in poll.writes for one in sinks if one.only is not False)
         self._obeyed = [one for one in sinks if one.name in COMMANDED]
         self._heartbeat: list[int] | None = None
 

@@ -308,6 +308,8 @@ class CommandSwitch(Section):
     """value that switches on; 1, or the register's, when left out"""
     off: int | str | None = None
     """value that switches off; 0, or the register's, when left out"""
+    off_signal: str | None = None
+    """coil that is set to switch off, where `signal` is one that is set to switch on only"""
 
 
 CommandedSwitch = Annotated[CommandSwitch, _or_name(CommandSwitch)]

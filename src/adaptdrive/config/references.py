@@ -119,6 +119,8 @@ def commanded_names(signals: Signals) -> list[tuple[str, str]]:
     given, place = signals.command, "signals.command"
     named = ((name, getattr(given, name)) for name in (*COMMANDED, "reset"))
     values = [(f"{place}.{name}", one.signal) for name, one in named if one is not None]
+    if given.bridge is not None and given.bridge.off_signal is not None:
+        values.append((f"{place}.bridge.off_signal", given.bridge.off_signal))
     return [*values, *((f"{place}.constants.{one}", one) for one in given.constants)]
 
 

@@ -282,6 +282,7 @@ class Catalogue(ABC, Generic[Item]):
         item = None if switch is None else self.find(switch.signal, place)
         if switch is None or item is None:
             return
+        self.note(f"{place}.off_signal", "is for coils" if switch.off_signal else None)
         self.note(place, self.refusal(item, "command"))
         field, known = self.field(item, "command"), self.switch(item)
         on = self.resolve(field, known[0] if switch.on is None else switch.on, place)

@@ -182,6 +182,7 @@ class Sink(Generic[Item]):
         field: How that is coded.
         base: Value of the field of the device where that of the command is 0 or False.
         factor: Units of the field per unit of that of the command.
+        only: Bridge of the commands that it is written with, None for all.
         reset: Set while the reset of a fault is given, which takes the place of that field.
     """
 
@@ -190,6 +191,7 @@ class Sink(Generic[Item]):
     field: Field
     base: float
     factor: float
+    only: bool | None = None
     reset: Event | None = None
 
     @property

@@ -235,6 +235,9 @@ class Commander:
         for (block, sinks), registers in parts:
             if self._disobeyed and all(sink.name == HEARTBEAT for sink in sinks):
                 continue
+            if any(sink.only not in {None, command.bridge} for sink in sinks):
+                self._pace.note(block)  # the other coil ends what it has begun
+                continue
             if not (must_stop or self._pace.is_due(block, registers)):
                 continue
             sent = True

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from adaptdrive.config import Configuration, polled
+from adaptdrive.config.bus import CommandSwitch
 from adaptdrive.control.signals import Command
 from adaptdrive.devices import binding, description
 from adaptdrive.devices.description import Sink, Source
@@ -55,6 +56,22 @@ class RegisterCatalogue(binding.Catalogue[Named]):
     def count_problem(self, item: Named) -> str | None:  # noqa: ARG002 - polls are counted by none
         """Return None: no tick is counted by a register."""
         return None
+
+    def _switches(
+        self, switch: CommandSwitch | None, name: str = binding.BRIDGE
+    ) -> Iterator[Sink[Named]]:
+        if switch is None or switch.off_signal is None or name != binding.BRIDGE:
+            yield from super()._switches(switch, name)
+            return
+        place = "signals.command.bridge"
+        if switch.on is not None or switch.off is not None:
+            self.note(place, "with off_signal both coils are set to 1: leave on and off out")
+        for coil, on in ((switch.signal, True), (switch.off_signal, False)):
+            item = Named(coil, self._registers[coil])
+            if item.register.table != "coil":
+                self.note(place, f"{coil!r} is no coil, which off_signal needs")
+            field = self.field(item, "command")
+            yield Sink(binding.BRIDGE, item, field, float(not on), 2.0 * on - 1.0, only=on)
 
 
 def value_in(source: Source[Named], block: registers.Block, words: list[int]) -> float | None:

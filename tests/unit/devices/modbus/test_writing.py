@@ -141,6 +141,63 @@ async def test_a_stop_goes_before_the_set_up() -> None:
     assert next(address for address, _ in drive.writes) in {WANTED, CONTROL}
 
 
+TWO_COILS: dict[str, str | None] = {
+    "bus__registers__run": "{ address = 0x49, table = 'coil' }",
+    "bus__registers__halt": "{ address = 0x4B, table = 'coil' }",
+    "bus__registers__closed": "{ address = 5, table = 'input' }",
+    "signals__bridge": "'closed'",
+    "signals__command__bridge": "{ signal = 'run', off_signal = 'halt' }",
+}
+
+
+@pytest.mark.parametrize("interval_s", ["0.0", "60.0"])
+async def test_a_drive_may_have_one_coil_to_start_it_and_another_one_to_stop_it(
+    interval_s: str,
+) -> None:
+    drive = ModbusNode({3, 4, 5, 6, 16}, framing="tcp")
+    drive.put("input", 0, 30012, 1200, 43, 0x4050, 0, 0)
+    drive.put("holding", 0, 0)
+    drive.put("coil", 0x49, 0, 0, 0)
+
+    def turn(table: str, address: int, _: int) -> None:
+        if table == "coil":
+            drive.put("input", 5, int(address == 0x49))
+
+    drive.on_write = turn
+    async with running(drive, bus__command_interval_s=interval_s, **TWO_COILS) as (port, ear):
+        await until(lambda: bool(ear.readings))
+        for _ in range(2):
+            drive.writes.clear()
+            await until(lambda: port.send(RUN) and ear.readings[-1].bridge)
+            assert {(at, word) for at, word in drive.writes if at} == {(0x49, 0xFF00)}
+            drive.writes.clear()
+            port.send(SAFE_COMMAND)
+            await until(lambda: not ear.readings[-1].bridge)
+            assert drive.writes[0] == (0x4B, 0xFF00)
+            assert {at for at, _ in drive.writes} <= {0x4B, 0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "place", "words"),
+    [
+        ({"bus__registers__halt": "{ address = 9, table = 'holding' }"}, "", "'halt' is no coil"),
+        ({"signals__command__bridge__on": "1"}, "", "leave on and off out"),
+        ({"signals__command__bridge__off_signal": "'hold'"}, ".off_signal", "no register 'hold'"),
+    ],
+)
+def test_what_cannot_stop_a_drive_is_refused(
+    changes: dict[str, str | None], place: str, words: str
+) -> None:
+    two: dict[str, str | None] = {
+        **TWO_COILS,
+        "signals__command__bridge": None,
+        "signals__command__bridge__signal": "'run'",
+        "signals__command__bridge__off_signal": "'halt'",
+        **changes,
+    }
+    assert words in flaws(**two)[f"signals.command.bridge{place}"]
+
+
 def test_fields_of_one_register_are_written_together() -> None:
     ((block, sinks),) = plan(**FIELDS).writes
     assert block_words(block, sinks, RUN, 0)[1] == 0x0203
