@@ -302,14 +302,11 @@ async def _run(
             note = _note(configuration, recorder)
             if given.measured:
                 note(learnt)
-            keeper = recording.Keeper(
-                note,
-                lambda: recording.Learnt(controller.trusted, controller.resolution),
-                hub,
-                clock.now_s,
-            )
-            ending.callback(keeper.save)
-            start("checkpoint", keeper.run())
+
+            def present() -> recording.Learnt:
+                return recording.Learnt(controller.trusted, controller.resolution)
+
+            start("checkpoint", recording.keep_learnt(note, present, hub, clock.now_s))
         for event in reload.start_events(given, known, recalled):
             hub.publish(event)
         with (

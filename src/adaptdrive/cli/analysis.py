@@ -260,13 +260,13 @@ def commission(  # noqa: PLR0913 - the words of the command line
             digest = digest or _write(path, commissioned)
             _put_to_use(guide, commissioned, digest)
         else:
-            _print_next(drive, run.reached(commissioned), path if write else None)
+            _print_next(drive, commissioned.reached, path if write else None)
     return 0
 
 
 def _write(path: Path, commissioned: Commissioned) -> str:
     """Write the settings; return the digest of the file."""
-    from adaptdrive.commissioning.run import write  # noqa: PLC0415 - it is large
+    from adaptdrive.commissioning.evaluation import write  # noqa: PLC0415 - it is large
 
     backup, digest = write(path, commissioned)
     print(f"\n{path} is written, the old file is {backup}")
@@ -274,10 +274,10 @@ def _write(path: Path, commissioned: Commissioned) -> str:
 
 
 def _put_to_use(guide: Guide, commissioned: Commissioned, digest: str) -> None:
-    from adaptdrive.commissioning.run import put_to_use, reached  # noqa: PLC0415
+    from adaptdrive.commissioning.run import put_to_use  # noqa: PLC0415 - it is large
 
     drive, unit = guide.drive, commissioned.before.load.output_unit
-    setpoint = reached(commissioned)
+    setpoint = commissioned.reached
     waited_s = asyncio.run(put_to_use(guide, digest, setpoint))
     print(
         f"{drive} holds {setpoint:.4g} {unit} in mode adaptive, in force after {waited_s:.1f} s\n\n"

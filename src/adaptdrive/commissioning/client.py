@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from adaptdrive.commissioning.course import Samples
-from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.course import ExperimentCourse, Samples
 from adaptdrive.mqtt.client import (
     DriveStatus,
     NoAnswerError,
@@ -203,7 +202,7 @@ class Guide:
         return samples
 
     async def carry_out(
-        self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
+        self, experiment: ExperimentCourse, show: Callable[[FastReading, float], None]
     ) -> None:
         """Enable the drive in mode manual and run an experiment; leave the drive off in any case.
 
@@ -220,7 +219,7 @@ class Guide:
             await self.ask("enable")
             await self._await_running(coasting=True)
             # a load at rest coasts until it is asked for a voltage
-            await self.ask("voltage", experiment.course.voltage_V, hold_s=HOLD_S)
+            await self.ask("voltage", experiment.voltage_V, hold_s=HOLD_S)
             await self._await_running(coasting=False)
             await self._follow(experiment, show)
         finally:
@@ -228,10 +227,10 @@ class Guide:
             await whole(leaving, complete=experiment.done)
 
     async def _follow(
-        self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
+        self, experiment: ExperimentCourse, show: Callable[[FastReading, float], None]
     ) -> None:
         """Run the experiment; the voltage is asked for meanwhile, so that no reading waits."""
-        self._wanted_V = experiment.course.voltage_V
+        self._wanted_V = experiment.voltage_V
         try:
             async with asyncio.TaskGroup() as group:
                 asking = group.create_task(self._keep_asking())
@@ -244,7 +243,7 @@ class Guide:
             raise first_error(known) from None
 
     async def _feed(
-        self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
+        self, experiment: ExperimentCourse, show: Callable[[FastReading, float], None]
     ) -> None:
         """Take readings until the experiment is complete."""
         async with aclosing(fast_readings(self._broker, self.drive)) as readings:

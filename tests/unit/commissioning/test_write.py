@@ -18,9 +18,9 @@ import pytest
 from adaptdrive.analysis.curves import Quality, Response
 from adaptdrive.app.examine import examine_text
 from adaptdrive.cli import main
-from adaptdrive.commissioning.evaluation import Commissioned, refusal_of
+from adaptdrive.commissioning.evaluation import Commissioned, refusal_of, write
 from adaptdrive.commissioning.proposal import refuse_unwritable, with_values, write_values
-from adaptdrive.commissioning.run import alone, write
+from adaptdrive.commissioning.run import alone
 from adaptdrive.mqtt.connection import Broker
 from adaptdrive.util.errors import CommissionError, ConfigurationError
 
