@@ -4,7 +4,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -275,44 +275,26 @@ def plain_load(lags: int) -> Load:
     return motor.motor_load(1.0, 1.0, 1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class SessionLoad(RecordLoad):
-    """The load of a recorded session.
-
-    Attributes:
-        session: The session.
-        configuration: The one that it ran with.
-        stretches: Parts of it that were used.
-    """
-
-    session: Session
-    configuration: Configuration
-    stretches: list[Stretch]
-
-
 def identify_session(
-    path: Path, begin_s: float | None = None, end_s: float | None = None
-) -> SessionLoad:
-    """Identify the load of a recorded session.
+    session: Session, begin_s: float | None = None, end_s: float | None = None
+) -> tuple[RecordLoad, list[Stretch]]:
+    """Identify the load of a recorded session, and return the parts of it that were used, too.
 
     Args:
-        path: Directory of the session.
+        session: The session.
         begin_s: First second used, from the first tick on; None for the first.
         end_s: Last second used, None for the last.
 
     Raises:
         AdaptdriveError: The session cannot be read, or does not show its load.
     """
-    session = read_session(path)
-    configuration = reconfigured(session.config_text, path / "config.toml", ())
+    configuration = reconfigured(session.config_text, session.path / "config.toml", ())
     stretches, short = read_stretches(session, begin_s, end_s)
     parts = [(one.begin_s, one.excerpt) for one in stretches]
     found = _of_drive(session.path.name, parts, block_samples(stretches), configuration)
-    known = {one.name: getattr(found, one.name) for one in fields(found)}
-    known["online"] = _online(session, tuple(found.nominal), end_s)
-    known["left_out"] += short
+    online = _online(session, tuple(found.nominal), end_s)
     used = [stretches[place] for place in found.load.used]
-    return SessionLoad(**known, session=session, configuration=configuration, stretches=used)
+    return replace(found, online=online, left_out=found.left_out + short), used
 
 
 def _online(session: Session, names: tuple[str, ...], end_s: float | None) -> dict[str, Estimate]:
@@ -347,7 +329,7 @@ def identify_source(
         if path.is_file():
             return _identify(columns_of_file(path), path.name, view)
         _refuse_columns(view, "a session")
-        return identify_session(path, view.begin_s, view.end_s)
+        return identify_session(read_session(path), view.begin_s, view.end_s)[0]
     if isinstance(source, closed_loop.Simulation):
         _refuse_columns(view, "a simulation")
         # voltage and output of a reading are taken at once

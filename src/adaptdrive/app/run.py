@@ -27,13 +27,7 @@ from typing import Any, TextIO, cast
 import msgspec
 
 from adaptdrive import __version__, build_name
-from adaptdrive.app import examine, loads, ports, process, recording, reload
-from adaptdrive.app.settings import (
-    controller_settings,
-    fast_settings,
-    machine_limits,
-    operator_profile,
-)
+from adaptdrive.app import examine, loads, ports, process, recording, reload, settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
@@ -179,20 +173,9 @@ UNRECORDED = 4
 
 _EVENTS_HELD = 1000
 
+_NAMES = "TERM INT QUIT HUP USR1 USR2 ALRM VTALRM PROF IO PWR XCPU STKFLT"
 _ENDING = (
-    signal.SIGTERM,
-    signal.SIGINT,
-    signal.SIGQUIT,
-    signal.SIGHUP,
-    signal.SIGUSR1,
-    signal.SIGUSR2,
-    signal.SIGALRM,
-    signal.SIGVTALRM,
-    signal.SIGPROF,
-    signal.SIGIO,
-    signal.SIGPWR,
-    signal.SIGXCPU,
-    signal.SIGSTKFLT,
+    *(signal.Signals[f"SIG{name}"] for name in _NAMES.split()),
     *range(signal.SIGRTMIN, signal.SIGRTMAX + 1),
 )
 """Signals that end a process by default; those of a crash, SIGABRT among them, stay as they are."""
@@ -262,12 +245,12 @@ async def _run(
     configuration, hub = given.configuration, reports.Hub()
     events = hub.subscribe(reports.Event, size=_EVENTS_HELD)
     port = ports.build_whole_port(configuration, clock.now_s, course.path)
-    settings, load = controller_settings(configuration), loads.build_load(configuration)
+    law, load = settings.controller_settings(configuration), loads.build_load(configuration)
     recalled = recall_log(recording.place_of(configuration)[0], datetime.now(UTC))
     learnt, known = recording.recall(
-        recalled.learnt, configuration, settings, load, measured=given.measured
+        recalled.learnt, configuration, law, load, measured=given.measured
     )
-    controller = Controller(settings, load, learnt.values, learnt.resolution)
+    controller = Controller(law, load, learnt.values, learnt.resolution)
     recorder = recording.build_recorder(
         configuration, given.text, hub, recalled, learnt, start_thread
     )
@@ -277,8 +260,8 @@ async def _run(
         port=port,
         controller=controller,
         configuration=configuration,
-        machine=machine_limits(configuration),
-        fast=fast_settings(configuration),
+        machine=settings.machine_limits(configuration),
+        fast=settings.fast_settings(configuration),
         clock=clock.now_s,
         hub=hub,
         manager=tick_support.ServiceManager(os.environ),
@@ -295,10 +278,11 @@ async def _run(
 
         start("lines", reload.write_events(events, hub.kept))
         start("recorder", recorder.run(daemon.opened))
-        profile, around = operator_profile(configuration), operator_log(recalled, recorder)
+        profile = settings.operator_profile(configuration)
+        around = operator_log(recalled, recorder)
         start("mqtt", MqttService(profile, configuration.mqtt, daemon, hub, around).run())
         start("opened", course.opened(daemon.opened))
-        if recording.is_kept(settings):
+        if recording.is_kept(law):
             note = _note(configuration, recorder)
             if given.measured:
                 note(learnt)

@@ -159,60 +159,45 @@ def _choose(
     *,
     ask: bool | None,
 ) -> dict[str, description.Candidate | None]:
-    wanted = {
-        "output": description.OUTPUTS.get(load, description.NO_PROPOSAL),
-        **description.QUANTITIES,
-    }
-    chosen = {
-        quantity: _confirm(quantity, _proposed(quantity, one, known, ask=ask), known, ask=bool(ask))
-        for quantity, one in wanted.items()
-        if quantity not in without
-    }
+    """Return the signal of each quantity, None for none; refuse a doubt that nobody is asked."""
+    output = description.OUTPUTS.get(load, description.NO_PROPOSAL)
+    chosen: dict[str, description.Candidate | None] = {}
+    for quantity, wanted in {"output": output, **description.QUANTITIES}.items():
+        if quantity in without:
+            continue
+        proposed = description.propose(wanted, known)
+        if ask is None and description.is_doubtful(wanted, proposed):
+            first, second = (one.reference for one in proposed[:2])
+            flaw = f"{first} or {second}? leave out --yes, and choose"
+            raise ConfigurationError.of("init", quantity, flaw)
+        chosen[quantity] = next(iter(proposed), None)
+        if ask:
+            chosen[quantity] = _asked(quantity, proposed[:_SHOWN], known)
     left_out = ", ".join(quantity for quantity, one in chosen.items() if one is None)
     if left_out and not ask:
         print(f"left out, as no signal of the file means it: {left_out}")
     return chosen
 
 
-def _proposed(
-    quantity: str,
-    wanted: description.Wanted,
-    known: list[description.Candidate],
-    *,
-    ask: bool | None,
-) -> tuple[description.Candidate, ...]:
-    """Return the proposals of a quantity, the likeliest first; refuse a doubt nobody is asked."""
-    proposed = description.propose(wanted, known)
-    if ask is None and description.is_doubtful(wanted, proposed):
-        first, second = (one.reference for one in proposed[:2])
-        flaw = f"{first} or {second}? leave out --yes, and choose"
-        raise ConfigurationError.of("init", quantity, flaw)
-    return proposed
-
-
-def _confirm(
+def _asked(
     quantity: str,
     proposed: tuple[description.Candidate, ...],
     known: list[description.Candidate],
-    *,
-    ask: bool,
 ) -> description.Candidate | None:
-    if not ask:
-        return proposed[0] if proposed else None
-    choices = {str(number): one for number, one in enumerate(proposed[:_SHOWN], start=1)}
-    choices |= {one.reference: one for one in known}
+    """Return what the user chooses for a quantity, None for none."""
+    choices: dict[str, description.Candidate | None] = {one.reference: one for one in known}
+    choices |= {"0": None}
     print(f"\n{quantity}:")
-    for number in range(1, 1 + len(proposed[:_SHOWN])):
-        one = choices[str(number)]
+    for number, one in enumerate(proposed, start=1):
+        choices[str(number)] = one
         words = "" if one.reference.endswith(one.words.split()[-1]) else one.words
         print("  ".join(filter(None, (f"  {number}", one.reference, words, one.unit, one.range))))
     usual = "1" if proposed else "0"
     while True:
-        answer = _answer(f"a number, a signal by its name, or 0 for none [{usual}]: ", quantity)
-        if (answer or usual) == "0":
-            return None
-        if (answer or usual) in choices:
-            return choices[answer or usual]
+        question = f"a number, a signal by its name, or 0 for none [{usual}]: "
+        answer = _answer(question, quantity) or usual
+        if answer in choices:
+            return choices[answer]
 
 
 def _values(text: str) -> dict[str, str]:
@@ -281,7 +266,12 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
         0 when it can be used; otherwise `ConfigurationError` lists what is wrong.
     """
     if as_json:
-        return _check_for_programs(config)
+        try:
+            report = sound_report(load_examined(config), config)
+        except ConfigurationError as problem:
+            report = flawed_report(problem)
+        print_json(report)
+        return 0 if report["valid"] else UNUSABLE
     from adaptdrive.devices.can.bus import missing_here  # noqa: PLC0415 - `schema` needs no bus
 
     text = read_text(config)
@@ -313,15 +303,6 @@ def _advise(config: Path, text: str) -> None:
         with suppress(ConfigurationError):  # of a DBC, EDS or register map: refused later
             for one in advice(configuration):
                 _warn(config, one)
-
-
-def _check_for_programs(config: Path) -> int:
-    try:
-        report = sound_report(load_examined(config), config)
-    except ConfigurationError as problem:
-        report = flawed_report(problem)
-    print_json(report)
-    return 0 if report["valid"] else UNUSABLE
 
 
 def schema() -> int:

@@ -12,13 +12,7 @@ from datetime import datetime
 from typing import Any
 
 from adaptdrive.commissioning.course import ExperimentCourse, Samples
-from adaptdrive.mqtt.client import (
-    DriveStatus,
-    NoAnswerError,
-    read_status,
-    send_command,
-    telemetry,
-)
+from adaptdrive.mqtt.client import DriveStatus, NoAnswerError, read_status, send_command, telemetry
 from adaptdrive.mqtt.commands import number, part
 from adaptdrive.mqtt.connection import Broker
 from adaptdrive.mqtt.contract import Reply

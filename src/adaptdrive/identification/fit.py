@@ -92,6 +92,11 @@ class Solution:
     condition: float
 
     @property
+    def values(self) -> Array:
+        """All fitted values: the logarithms, then the weights."""
+        return np.concatenate((self.logarithms, self.weights))
+
+    @property
     def loss(self) -> float:
         """Sum of e²."""
         return float(self.errors @ self.errors)
