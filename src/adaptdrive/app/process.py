@@ -52,15 +52,9 @@ _CLOSED_AT_ONCE = 64
 """Connections of refused processes that are closed between two ticks: about 1 ms."""
 
 
-class LockedError(AdaptdriveError):
-    """Another process of this machine controls the drive."""
-
-    def __init__(self, what: str, holder: str) -> None:
-        self.holder = holder
-        super().__init__(
-            f"{what} is controlled by {holder}; end that daemon first, or give this one another "
-            "drive"
-        )
+_CONTROLLED = (
+    "{name} is controlled by {holder}; end that daemon first, or give this one another drive"
+)
 
 
 def lock_names(configuration: Configuration) -> Iterator[str]:
@@ -80,19 +74,22 @@ def lock_names(configuration: Configuration) -> Iterator[str]:
 
 
 @contextmanager
-def locked(names: Iterable[str], environment: Mapping[str, str]) -> Iterator[list[socket.socket]]:
+def locked(
+    names: Iterable[str], environment: Mapping[str, str], refusal: str = _CONTROLLED
+) -> Iterator[list[socket.socket]]:
     """Hold locks until the block ends.
 
     Args:
         names: What is locked.
         environment: Process environment.
+        refusal: Text of the error, with places for `name` and `holder`.
 
     Raises:
-        LockedError: Another process holds one of them.
+        AdaptdriveError: Another process of this machine holds one of them.
     """
     namespace = environment.get(NAMESPACE, "")
     with ExitStack() as stack:
-        yield [stack.enter_context(_lock(name, namespace)) for name in names]
+        yield [stack.enter_context(_lock(name, namespace, refusal)) for name in names]
 
 
 async def close_refused(locks: Iterable[socket.socket]) -> None:
@@ -103,7 +100,7 @@ async def close_refused(locks: Iterable[socket.socket]) -> None:
                 lock.accept()[0].close()
 
 
-def _lock(name: str, namespace: str) -> socket.socket:
+def _lock(name: str, namespace: str, refusal: str) -> socket.socket:
     digest = hashlib.sha256(f"{namespace}\n{name}".encode()).hexdigest()
     address = f"\0adaptdrive-{digest[:32]}"
     lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -113,7 +110,7 @@ def _lock(name: str, namespace: str) -> socket.socket:
         lock.close()
         if problem.errno != errno.EADDRINUSE:
             raise AdaptdriveError(f"{name} cannot be locked: {problem.strerror}") from problem
-        raise LockedError(name, _holder(address)) from None
+        raise AdaptdriveError(refusal.format(name=name, holder=_holder(address))) from None
     lock.listen(_BACKLOG)
     lock.settimeout(0.0)
     return lock
@@ -237,11 +234,8 @@ def prepared(configuration: Configuration, source: Path, hub: reports.Hub) -> It
     WarmUp(configuration, ports.build_port(configuration, now_s, source)).run()
     with realtime.real_time(configuration.realtime) as answers:
         for grant in answers:
-            hub.publish(_event(grant))
+            severity = reports.Severity.INFO if grant.granted else reports.Severity.WARNING
+            answer = "granted" if grant.granted else "refused"
+            detail = f"{grant.asked} {answer}: {grant.meaning}"
+            hub.publish(reports.Event("realtime", severity, detail, -1))
         yield
-
-
-def _event(grant: realtime.Grant) -> reports.Event:
-    severity = reports.Severity.INFO if grant.granted else reports.Severity.WARNING
-    answer = "granted" if grant.granted else "refused"
-    return reports.Event("realtime", severity, f"{grant.asked} {answer}: {grant.meaning}", -1)

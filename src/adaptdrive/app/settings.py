@@ -30,13 +30,17 @@ _BELOW_RANGE = 0.25
 def trip_limits(configuration: Configuration) -> Limits:
     """Return the levels at which a single reading trips the drive."""
     interlocks, load = configuration.interlocks, configuration.load
+    lowest = interlocks.output_min
+    if lowest is None:  # no load at rest or in control has an output below it
+        span = load.reference_max - load.reference_min
+        lowest = min(0.0, load.reference_min) - _BELOW_RANGE * span
     return Limits(
         boost_voltage_max_V=interlocks.boost_voltage_max_V,
         output_max=interlocks.output_max,
         output_unit=load.output_unit,
         output_name=load.output_name,
         given=configuration.drive.given,
-        output_min=_output_min(configuration),
+        output_min=lowest,
         absent=consistency.absent_names(configuration),
     )
 
@@ -49,14 +53,6 @@ def watches(configuration: Configuration) -> tuple[Callable[[], plausibility.Wat
     if (response := loads.response_limits(configuration)) is not None:
         found.append(functools.partial(plausibility.Response, response))
     return tuple(found)
-
-
-def _output_min(configuration: Configuration) -> float:
-    """Return the lowest output: below it is none that a load at rest or in control has."""
-    load, given = configuration.load, configuration.interlocks.output_min
-    if given is not None:
-        return given
-    return min(0.0, load.reference_min) - _BELOW_RANGE * (load.reference_max - load.reference_min)
 
 
 # Settings of controller and runtime, made from the configuration.

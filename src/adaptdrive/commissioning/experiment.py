@@ -60,7 +60,7 @@ def switch(course: ExperimentCourse, outcome: Outcome, loads: CredibleLoads) -> 
     Raises:
         CommissionError: The output leaves its band.
     """
-    settling_s, high_V = outcome.settling_s, outcome.high_V
+    target, settling_s, high_V = course.target, outcome.settling_s, outcome.high_V
     clocks_s = [settling_s / clocks for clocks in _CLOCKS]
     sequence = [(level, clock_s) for clock_s in clocks_s for level in _sequence()]
     duration_s = _LENGTH * sum(clocks_s)
@@ -76,13 +76,9 @@ def switch(course: ExperimentCourse, outcome: Outcome, loads: CredibleLoads) -> 
                 continue
             _look_at_band(course, outcome.rest)
             if loads.heads_for_edge() and course.voltage_V != outcome.low_V:
-                high_V = _lowered_V(course.target, outcome.low_V, high_V)
+                step = target.to_input(high_V) - target.to_input(outcome.low_V)
+                high_V = target.raised_V(outcome.low_V, _LOWERED * step)
                 course.voltage_V = outcome.low_V
-
-
-def _lowered_V(target: Target, low_V: float, high_V: float) -> float:
-    """Return the upper level after one that would have led to the edge."""
-    return target.raised_V(low_V, _LOWERED * (target.to_input(high_V) - target.to_input(low_V)))
 
 
 def _look_at_band(course: ExperimentCourse, rest: float) -> None:

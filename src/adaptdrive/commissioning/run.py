@@ -6,8 +6,8 @@ import math
 import os
 import sys
 import time
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import NoReturn
 
@@ -18,7 +18,7 @@ from rich.text import Text
 
 from adaptdrive.analysis.closed_loop import Plant, PlantLoop
 from adaptdrive.app.examine import examine_text
-from adaptdrive.app.process import LockedError, locked
+from adaptdrive.app.process import locked
 from adaptdrive.commissioning import client, evaluation
 from adaptdrive.commissioning.course import ExperimentCourse, Phase, Samples, Target, build_target
 from adaptdrive.commissioning.experiment import load_experiment
@@ -269,8 +269,7 @@ _WATCHED_S = 5.0
 """Time for which the sensors are watched with the drive off."""
 
 
-@contextmanager
-def alone(drive: str, broker: Broker) -> Iterator[None]:
+def alone(drive: str, broker: Broker) -> AbstractContextManager[object]:
     """Keep other experiments off a drive until the block ends.
 
     Args:
@@ -278,14 +277,10 @@ def alone(drive: str, broker: Broker) -> Iterator[None]:
         broker: Its broker, as others may have a drive of that name.
 
     Raises:
-        CommissionError: Another process of this machine commissions it.
+        AdaptdriveError: Another process of this machine commissions it.
     """
     experiment = f"commissioning of {drive!r} by {broker.host}:{broker.port}"
-    try:
-        with locked([experiment], os.environ):
-            yield
-    except LockedError as problem:
-        raise CommissionError(f"{drive} is already commissioned by {problem.holder}") from None
+    return locked([experiment], os.environ, f"{drive} is already commissioned by {{holder}}")
 
 
 def announcement(path: Path, drive: str, move_share: float, patience_s: float | None) -> str:
