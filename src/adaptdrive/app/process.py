@@ -16,7 +16,7 @@ import socket
 import struct
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -43,13 +43,7 @@ _START_FIELD = 19
 """Place of `starttime` in /proc/PID/stat, counted after the name of the program."""
 
 _BACKLOG = 4096
-"""Refused processes that may wait for the answer; more cannot learn which process holds a lock."""
-
-RELEASE_S = 1.0
-"""Time from one closing of the connections of refused processes to the next."""
-
-_CLOSED_AT_ONCE = 64
-"""Connections of refused processes that are closed between two ticks: about 1 ms."""
+"""Refused processes that learn which process holds a lock; the kernel keeps no more of them."""
 
 
 _CONTROLLED = (
@@ -76,7 +70,7 @@ def lock_names(configuration: Configuration) -> Iterator[str]:
 @contextmanager
 def locked(
     names: Iterable[str], environment: Mapping[str, str], refusal: str = _CONTROLLED
-) -> Iterator[list[socket.socket]]:
+) -> Iterator[None]:
     """Hold locks until the block ends.
 
     Args:
@@ -89,15 +83,9 @@ def locked(
     """
     namespace = environment.get(NAMESPACE, "")
     with ExitStack() as stack:
-        yield [stack.enter_context(_lock(name, namespace, refusal)) for name in names]
-
-
-async def close_refused(locks: Iterable[socket.socket]) -> None:
-    """Keep the locks able to name this process to those that are refused."""
-    for lock in locks:
-        with suppress(OSError):  # no more of them wait
-            for _ in range(_CLOSED_AT_ONCE):
-                lock.accept()[0].close()
+        for name in names:
+            stack.enter_context(_lock(name, namespace, refusal))
+        yield
 
 
 def _lock(name: str, namespace: str, refusal: str) -> socket.socket:
@@ -112,7 +100,6 @@ def _lock(name: str, namespace: str, refusal: str) -> socket.socket:
             raise AdaptdriveError(f"{name} cannot be locked: {problem.strerror}") from problem
         raise AdaptdriveError(refusal.format(name=name, holder=_holder(address))) from None
     lock.listen(_BACKLOG)
-    lock.settimeout(0.0)
     return lock
 
 

@@ -11,12 +11,11 @@ import functools
 import io
 import os
 import signal
-import socket
 import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Coroutine, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -200,22 +199,17 @@ def run(path: Path) -> int:
     try:
         with (
             unblocked_output(start_thread),
-            process.locked(process.lock_names(configuration), os.environ) as locks,
+            process.locked(process.lock_names(configuration), os.environ),
             asyncio.Runner() as runner,
         ):
             given = reload.RunInput(configuration, text)
-            complete = runner.run(_serve(given, path, locks, start_thread))
+            complete = runner.run(_serve(given, path, start_thread))
     except* AdaptdriveError as group:
         raise first_error(group) from None
     return 0 if complete else UNRECORDED
 
 
-async def _serve(
-    given: reload.RunInput,
-    path: Path,
-    locks: Sequence[socket.socket],
-    start_thread: Callable[[], None],
-) -> bool:
+async def _serve(given: reload.RunInput, path: Path, start_thread: Callable[[], None]) -> bool:
     """Serve until asked to stop; False when the end of a session is not recorded."""
     configured()
     course = reload.RunCourse(path, given)
@@ -224,16 +218,11 @@ async def _serve(
     asyncio.get_running_loop().set_default_executor(helpers)
     _stop_on_signals(course.end)
     feed = functools.partial(course.feed_between, tick_support.ServiceManager(os.environ))
-    release = functools.partial(process.close_refused, locks)
-    services = [
-        asyncio.create_task(clock.repeat(*one))
-        for one in ((feed, reload.FEED_S), (release, process.RELEASE_S))
-    ]
+    feeding = asyncio.create_task(clock.repeat(feed, reload.FEED_S))
     complete = True
     while (present := course.next_run()) is not None:
         complete &= await _run(present, course, start_thread)
-    for service in services:
-        await _end(service)
+    await _end(feeding)
     write_line("info", "stopped")
     return complete
 

@@ -8,19 +8,19 @@ import sys
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import ValidationError
+from cyclopts import Parameter
 
 from adaptdrive.app import starter
 from adaptdrive.app.check_report import flawed_report, sound_report, tables
 from adaptdrive.app.examine import advice, examine_text, load_examined
 from adaptdrive.cli import UNUSABLE
-from adaptdrive.cli.options import Flag, Json, print_json
+from adaptdrive.cli.options import Flag, Json, check_drive, print_json
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanLink
 from adaptdrive.config.file import find_flaws, read_text
 from adaptdrive.config.load import LoadName
-from adaptdrive.config.root import DriveSection
 from adaptdrive.devices import description
 from adaptdrive.util.errors import ConfigurationError
 from adaptdrive.util.files import replace_regular
@@ -38,7 +38,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
     *,
     bus: starter.BusName | None = None,
     device: str | None = None,
-    name: str | None = None,
+    name: Annotated[str | None, Parameter(validator=check_drive)] = None,
     directory: Path = Path(),
     dbc: Path | None = None,
     eds: Path | None = None,
@@ -63,7 +63,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
     Returns:
         0 when the file passes `check`, 2 when something is left to fill in.
     """
-    drive = load if name is None else _refuse_misnamed(name)
+    drive = load if name is None else name
     if device is not None:
         own = dbc or eds
         if bus is not None or (dbc and eds):
@@ -111,15 +111,6 @@ def _refuse_misfits(
     if eds is not None and bus != "canopen":
         raise ConfigurationError.of("--eds", str(eds), f"describes a drive on canopen, not {bus}")
     return bus
-
-
-def _refuse_misnamed(name: str) -> str:
-    """Return the name of a drive, which becomes a file's name too; refuse what `check` refuses."""
-    try:
-        return DriveSection(name=name).name
-    except ValidationError as problem:
-        flaw = f"{name!r}: {problem.errors()[0]['msg']}"
-        raise ConfigurationError.of("--name", "name", flaw) from problem
 
 
 def _described(
@@ -268,8 +259,8 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     if as_json:
         try:
             report = sound_report(load_examined(config), config)
-        except ConfigurationError as problem:
-            report = flawed_report(problem)
+        except ConfigurationError as flawed:
+            report = flawed_report(flawed)
         print_json(report)
         return 0 if report["valid"] else UNUSABLE
     from adaptdrive.devices.can.bus import missing_here  # noqa: PLC0415 - `schema` needs no bus
