@@ -14,7 +14,7 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from http import HTTPStatus
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -247,6 +247,11 @@ class PanelHandler(SimpleHTTPRequestHandler):
 
     _headers_sent = HEADERS
 
+    def handle(self) -> None:
+        """Answer until the connection ends; a browser that is gone is no error."""
+        with suppress(ConnectionError):
+            super().handle()
+
     def do_GET(self) -> None:
         """Send a file of the panel, or the report of the last session of a drive."""
         asked = urlsplit(self.path)
@@ -296,16 +301,7 @@ class PanelHandler(SimpleHTTPRequestHandler):
         """Write nothing."""
 
 
-class PanelServer(ThreadingHTTPServer):
-    """Serves each request in a thread; a browser that goes away is no error."""
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Print the traceback of an error, unless the connection was lost."""
-        if not isinstance(sys.exception(), ConnectionError):
-            super().handle_error(request, client_address)  # type: ignore[arg-type]
-
-
-def panel_server(port: int) -> PanelServer:
+def panel_server(port: int) -> ThreadingHTTPServer:
     """Return a server of the panel on the loopback interface.
 
     Args:
@@ -316,7 +312,7 @@ def panel_server(port: int) -> PanelServer:
     """
     handler = functools.partial(PanelHandler, directory=str(FOLDER))
     try:
-        return PanelServer(("127.0.0.1", port), handler)
+        return ThreadingHTTPServer(("127.0.0.1", port), handler)
     except OSError as problem:
         raise AdaptdriveError(f"port {port}: {problem}; choose another --port") from problem
 

@@ -276,8 +276,7 @@ class ExperimentCourse:
         self.outcome: Outcome | None = None
         self._steps = phases(self)
         self._expected = (0.0, math.nan)
-        self._noise = 0.0
-        self._noise_known_s = -math.inf
+        self._noise, self._noise_known_s = 0.0, -math.inf
         self._looked_s = -math.inf
 
     def take(self, time_s: float, boost_voltage_V: float, output: float) -> float:

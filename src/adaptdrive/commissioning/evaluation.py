@@ -58,7 +58,8 @@ def evaluate(record: Samples, outcome: Outcome, loads: Sequence[Load]) -> result
         IdentificationError: The samples do not determine the load.
     """
     excerpt = resampled(record, outcome.began_s)
-    block = _block(outcome, excerpt)
+    wanted = outcome.settling_s / _BLOCKS_TO_REST / excerpt.period_s
+    block = max(1, math.ceil(len(excerpt.output) / _MOST_BLOCKS), math.floor(wanted))
     if len(loads) > 1:
         found = identify_any([excerpt], loads, block=block)
     else:
@@ -101,12 +102,6 @@ def resampled(record: Samples, from_s: float) -> Excerpt:
     voltages_V = np.interp(even_s, times_s, np.array(record.voltages_V[first:]))
     outputs = np.interp(even_s, times_s, np.array(record.outputs[first:]))
     return Excerpt(voltages_V, outputs, period_s)
-
-
-def _block(outcome: Outcome, excerpt: Excerpt) -> int:
-    wanted = outcome.settling_s / _BLOCKS_TO_REST / excerpt.period_s
-    fewest = math.ceil(len(excerpt.output) / _MOST_BLOCKS)
-    return max(1, fewest, math.floor(wanted))
 
 
 # The output's sensor while the drive is off.

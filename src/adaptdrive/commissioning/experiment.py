@@ -12,12 +12,7 @@ A load without overshoot stays within that movement. Time is that of the samples
 
 import math
 
-from adaptdrive.commissioning.bounds import (
-    SLOWEST_SLEW_V_PER_S,
-    CredibleLoads,
-    find_onset,
-    until_rest,
-)
+from adaptdrive.commissioning import bounds
 from adaptdrive.commissioning.course import ExperimentCourse, Outcome, Phase, Steps, Target
 from adaptdrive.util.errors import CommissionError
 
@@ -49,7 +44,7 @@ _TAPS = (5, 3)
 _LENGTH = 2 ** _TAPS[0] - 1
 
 
-def switch(course: ExperimentCourse, outcome: Outcome, loads: CredibleLoads) -> Steps[None]:
+def switch(course: ExperimentCourse, outcome: Outcome, loads: bounds.CredibleLoads) -> Steps[None]:
     """Switch V_c between rest and a level, in pseudo-random sequences.
 
     Args:
@@ -161,7 +156,7 @@ class Climb:
 
     def __init__(self, course: ExperimentCourse, base_V: float) -> None:
         """Begin where the load of the experiment has come to rest, at a V_c."""
-        self.loads = CredibleLoads(course, base_V)
+        self.loads = bounds.CredibleLoads(course, base_V)
         self._course = course
         self._base_V = base_V
         self._before = course.rest
@@ -225,7 +220,7 @@ class Climb:
         began_s = course.time_s
         if voltage_V != before_V:
             course.voltage_V, self._raised_s = voltage_V, began_s
-        for _ in until_rest(course):
+        for _ in bounds.until_rest(course):
             moved = course.recent(course.smooth_s) - self._before
             # too far, or would be although V_c went back now
             if self.loads.heads_for_edge() or moved > _TOO_FAR * target.move:
@@ -240,7 +235,7 @@ class Climb:
         moved = self._course.rest - self._before
         if target.battery is None:
             return moved
-        slewed_s = began_s + abs(voltage_V - before_V) / SLOWEST_SLEW_V_PER_S
+        slewed_s = began_s + abs(voltage_V - before_V) / bounds.SLOWEST_SLEW_V_PER_S
         nearly_V = before_V + _ARRIVED * (voltage_V - before_V)
         ready_s = max(slewed_s, course.record.reached_s(nearly_V, began_s))
         jump = course.record.mean(ready_s, ready_s + 5.0 * course.smooth_s)
@@ -253,7 +248,7 @@ class Climb:
         course.voltage_V, self._raised_s = self._base_V, course.time_s
         peak = course.recent(course.smooth_s) - self._before
         for _ in range(_LONGEST_RETURN):
-            for _ in until_rest(course):
+            for _ in bounds.until_rest(course):
                 peak = max(peak, course.recent(course.smooth_s) - self._before)
                 self.loads.heads_for_edge()
                 yield True
@@ -310,8 +305,8 @@ def _phases(course: ExperimentCourse) -> Steps[None]:
     base_V = course.target.low_V
     if course.target.battery is not None:
         course.phase = Phase.ONSET
-        base_V = yield from find_onset(course)
-    yield from until_rest(course)
+        base_V = yield from bounds.find_onset(course)
+    yield from bounds.until_rest(course)
     climb = Climb(course, base_V)
     course.outcome = yield from climb.run()
     course.phase = Phase.TEST

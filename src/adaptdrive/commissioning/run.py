@@ -345,21 +345,6 @@ _SAMPLE_S = 0.1
 _LONGEST_RUN_S = 30.0 * 86400.0
 
 
-def _samples(
-    configuration: root.Configuration, plant: Plant
-) -> Callable[[float], tuple[float, float, float]]:
-    """Return what advances a plant by a sample under V_c: to its time, boost voltage and output."""
-    loop = PlantLoop(configuration, plant, follows=True)
-    count = max(1, round(_SAMPLE_S / timing_of(configuration).reading_s))
-
-    def sample(voltage_V: float) -> tuple[float, float, float]:
-        for _ in range(count):
-            loop.step(Command(0.0, voltage_V, bridge=True))
-        return loop.time_s, loop.voltage_V, loop.output
-
-    return sample
-
-
 def commission_plant(
     path: Path, plant: Plant, move_share: float, patience_s: float | None
 ) -> evaluation.Commissioned:
@@ -375,7 +360,15 @@ def commission_plant(
         AdaptdriveError: The experiment cannot continue, or does not show the load.
     """
     text, configuration, target = _prepared(path, None, move_share, patience_s)
-    sample, standby = _samples(configuration, plant), Samples()
+    loop, standby = PlantLoop(configuration, plant, follows=True), Samples()
+    count = max(1, round(_SAMPLE_S / timing_of(configuration).reading_s))
+
+    def sample(voltage_V: float) -> tuple[float, float, float]:
+        """Advance by a sample under V_c: to its time, boost voltage and output."""
+        for _ in range(count):
+            loop.step(Command(0.0, voltage_V, bridge=True))
+        return loop.time_s, loop.voltage_V, loop.output
+
     while not standby.times_s or standby.times_s[-1] < _WATCHED_S:
         standby.append(*sample(target.low_V))
     evaluation.refuse_blind(standby, configuration, target.move)
