@@ -29,7 +29,7 @@ from adaptdrive.mqtt.client import LIVE_S, NoAnswerError
 from adaptdrive.mqtt.connection import Broker
 from adaptdrive.safety.timing import timing_of
 from adaptdrive.tui import terminal, view
-from adaptdrive.tui.record import PlotPoint, WatchRecord, plot
+from adaptdrive.tui.record import PlotPoint, WatchRecord
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
 
 # A measured load put to use: the running daemon takes the file, and adaptive control begins.
@@ -119,7 +119,6 @@ async def _lack_of_control(guide: client.Guide) -> str:
 # An experiment with its live picture in a terminal, ended by a key.
 
 _KEYS = "q ends the experiment with the drive off, as does Ctrl-C"
-_SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
 _HEADER_ROWS, _BAR_WIDTH = 2, 20
 
 
@@ -146,17 +145,12 @@ def screen(record: WatchRecord, course: ExperimentCourse, size: tuple[int, int])
         course: The experiment.
         size: Width and height of the terminal in characters.
     """
-    width, height = size
-    points, target = list(record.points), course.target
-    now_s = points[-1].time_s if points else 0.0
-    since_s = now_s - points[0].time_s if points else 0.0
-    window_s = min(max(since_s, _SHORTEST_WINDOW_S), _LONGEST_WINDOW_S)
-    canvas = (width - 1, height - _HEADER_ROWS - 2)
-    content = plot(points, list(record.marks), now_s, window_s, canvas)
+    target, rows = course.target, size[1] - _HEADER_ROWS - 1
+    title = Text(f"{target.name} in {target.unit or '1'}")
     layout = Layout()
     layout.split_column(
         Layout(_header(record, course), size=_HEADER_ROWS),
-        Layout(view.titled(Text(f"{target.name} in {target.unit or '1'}"), content)),
+        Layout(view.plotted(record, title, (size[0], rows))),
         Layout(view.cut(Text(f" {_KEYS}", view.DIM)), size=1),
     )
     return layout
