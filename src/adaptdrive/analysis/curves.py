@@ -30,19 +30,8 @@ _TICK_COLUMNS = ("output", "reference", "boost_voltage_V", "command_boost_refere
 _SLOW_COLUMNS = ("controller", "accepted", "applied_V", "boost_reference_V", "estimates", "reason")
 
 
-@dataclass(frozen=True, slots=True)
-class Window:
-    """Part of a session.
-
-    Attributes:
-        begin_s: Monotonic time at its left edge.
-        end_s: Monotonic time at its right edge.
-        started: Wall-clock time at its left edge.
-    """
-
-    begin_s: float
-    end_s: float
-    started: datetime
+Window = tuple[float, float, datetime]
+"""Monotonic times at the edges of a part of a session, and the wall-clock time of the left one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +39,7 @@ class Curves:
     """Data of the figure of a session.
 
     Attributes:
-        window: Its part of the session.
+        window: What part of the session it is.
         ticks: Fast quantities by column: times since the left edge, and values; the least and the
             largest value of each time make one line, which fills what it cannot resolve.
         slow_s: Time of each slow step since the left edge.
@@ -99,7 +88,7 @@ def find_window(session: Session, begin_s: float | None, end_s: float | None) ->
     if not begin < end:
         raise RecordingError(session.path, f"it holds {last - first:.6g} s, none of them in there")
     started = ends[0].column("utc")[0].as_py() or session.info.started.astimezone(UTC)
-    return Window(begin, end, started + timedelta(seconds=begin - first))
+    return begin, end, started + timedelta(seconds=begin - first)
 
 
 def row_times(session: Session, batch: pa.RecordBatch) -> Array:
@@ -130,15 +119,17 @@ def rows_within(
     session: Session, table: str, columns: tuple[str, ...], window: Window
 ) -> Iterator[tuple[Array, pa.RecordBatch]]:
     """Yield the rows of a part of a session, with their times since its left edge."""
+    begin_s, end_s, _ = window
     for batch in session.batches(table, ("monotonic_s", "tick", *columns)):
         time_s = row_times(session, batch)
-        first, last = np.searchsorted(time_s, (window.begin_s, window.end_s), side="left")
+        first, last = np.searchsorted(time_s, (begin_s, end_s), side="left")
         if first < last:
-            yield time_s[first:last] - window.begin_s, batch.slice(first, last - first)
+            yield time_s[first:last] - begin_s, batch.slice(first, last - first)
 
 
 def _envelopes(session: Session, window: Window) -> dict[str, tuple[Array, Array]]:
-    width_s = (window.end_s - window.begin_s) / _BINS
+    begin_s, end_s, _ = window
+    width_s = (end_s - begin_s) / _BINS
     low = {name: np.full(_BINS, np.inf) for name in _TICK_COLUMNS}
     high = {name: np.full(_BINS, -np.inf) for name in _TICK_COLUMNS}
     for time_s, batch in rows_within(session, TableName.TICKS, _TICK_COLUMNS, window):

@@ -86,11 +86,7 @@ _SHADES = {
     "not accepted": "0.85",
 }
 _SIGMAS = 2.0
-_UNITS_OF_TIME = (
-    (600.0, 1.0, "s"),
-    (4.0 * 3600.0, 60.0, "min"),
-    (math.inf, 3600.0, "h"),
-)
+_UNITS_OF_TIME = ((600.0, 1.0, "s"), (4.0 * 3600.0, 60.0, "min"), (math.inf, 3600.0, "h"))
 _SYMBOLS = {
     "gain": r"$\hat{g}$",
     "tau_s": r"$\hat{\tau}$",
@@ -114,7 +110,8 @@ def draw_session(session: reader.Session, configuration: Configuration, curves: 
     with journal():
         figure = Figure(figsize=(WIDTH_in, 6.4), layout="constrained")
         axes = figure.subplots(4, 1, sharex=True, height_ratios=(1.5, 1.2, 1.2, 0.45))
-        span_s = curves.window.end_s - curves.window.begin_s
+        begin_s, end_s, started = curves.window
+        span_s = end_s - begin_s
         scale_s, unit = next((s, u) for most, s, u in _UNITS_OF_TIME if span_s <= most)
         _draw_output(axes[0], session, curves, scale_s)
         _draw_given(axes[1], session.info.manipulated, curves, scale_s)
@@ -122,7 +119,7 @@ def draw_session(session: reader.Session, configuration: Configuration, curves: 
         _draw_strip(axes[3], curves, scale_s)
         axes[3].set_xlim(0.0, span_s / scale_s)
         _mark(axes, session, curves, scale_s)
-        axes[3].set_xlabel(f"time since {curves.window.started:%Y-%m-%d %H:%M:%S} UTC ({unit})")
+        axes[3].set_xlabel(f"time since {started:%Y-%m-%d %H:%M:%S} UTC ({unit})")
         figure.align_ylabels(list(axes[:3]))
         return as_png(figure)
 
@@ -221,7 +218,7 @@ def _runs(values: list[str], breaks: NDArray[np.int64]) -> Iterator[tuple[int, i
 
 
 def _mark(axes: Sequence[Axes], session: reader.Session, curves: Curves, scale_s: float) -> None:
-    begin_s, end_s = curves.window.begin_s, curves.window.end_s
+    begin_s, end_s, started = curves.window
     shown = [event for event in session.events if begin_s <= event.monotonic_s <= end_s]
     trips = [event for event in shown if event.kind == "trip"]
     changes = [event for event in shown if event.kind in _CHANGES]
@@ -231,7 +228,7 @@ def _mark(axes: Sequence[Axes], session: reader.Session, curves: Curves, scale_s
         for one in marked if times else ():
             one.vlines(times, 0.0, 1.0, transform=one.get_xaxis_transform(), **look)
     for mark in read_marks(session.path):
-        time_s = (mark.time - curves.window.started).total_seconds()
+        time_s = (mark.time - started).total_seconds()
         if 0.0 <= time_s <= end_s - begin_s:
             _label(axes[0], time_s / scale_s, mark.text, _DONE["color"])
             axes[0].axvline(time_s / scale_s, **_DONE)
@@ -284,10 +281,10 @@ _MOST_ROWS = 1000
 
 
 def _facts(session: reader.Session, curves: Curves) -> str:
-    info, window = session.info, curves.window
+    info, (begin_s, end_s, _) = session.info, curves.window
     rows = [
         ("session", session.path.name),
-        ("shown", f"{window.end_s - window.begin_s:.6g} s"),
+        ("shown", f"{end_s - begin_s:.6g} s"),
         ("ended", info.ended.value),
         ("not recorded", str(info.dropped)),
         ("adaptdrive", info.version),
@@ -296,11 +293,9 @@ def _facts(session: reader.Session, curves: Curves) -> str:
 
 
 def _events(session: reader.Session, curves: Curves) -> str:
-    window = curves.window
+    begin_s, end_s, _ = curves.window
     shown = [
-        one
-        for one in session.events
-        if not one.monotonic_s < window.begin_s and not one.monotonic_s > window.end_s
+        one for one in session.events if not (one.monotonic_s < begin_s or one.monotonic_s > end_s)
     ]
     rows = [(f"{one.time:%H:%M:%S.%f}"[:-3], one.kind, one.detail) for one in shown]
     return _table(("UTC", "kind", "detail"), rows, [one.severity for one in shown])
@@ -360,7 +355,7 @@ def plot(
     figure, report = folder / "figure.png", folder / "report.html"
     template = Path(__file__).with_name("report.html").read_text(encoding="utf-8")
     page = template.format(
-        title=escape(f"{session.info.drive}, {curves.window.started:%Y-%m-%d %H:%M:%S} UTC"),
+        title=escape(f"{session.info.drive}, {curves.window[2]:%Y-%m-%d %H:%M:%S} UTC"),
         facts=_facts(session, curves),
         png=base64.b64encode(png).decode(),
         events=_events(session, curves),

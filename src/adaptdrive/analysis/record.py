@@ -4,7 +4,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +143,10 @@ def _times_s(columns: Columns, view: RecordView) -> tuple[Array, RecordView]:
                 "(--time), or give the time between two rows (--sample-time)"
             )
     if name is None:
-        return _counted_s(columns, view.sample_time_s), view
+        step_s, count = view.sample_time_s, len(next(iter(columns.values.values()), ()))
+        if step_s is None or not 0.0 < step_s < math.inf:
+            raise IdentificationError(f"the time between two rows, {step_s} s, must be above 0")
+        return step_s * np.arange(count, dtype=np.float64), view
     time_s = columns.times_s(name)
     back = np.flatnonzero(np.diff(time_s) <= 0.0)
     if len(back):
@@ -154,13 +157,6 @@ def _times_s(columns: Columns, view: RecordView) -> tuple[Array, RecordView]:
             "ones"
         )
     return time_s - time_s[:1], replace(view, time=name)
-
-
-def _counted_s(columns: Columns, sample_time_s: float | None) -> Array:
-    if sample_time_s is None or not 0.0 < sample_time_s < math.inf:
-        raise IdentificationError(f"the time between two rows, {sample_time_s} s, must be above 0")
-    count = len(next(iter(columns.values.values()), ()))
-    return sample_time_s * np.arange(count, dtype=np.float64)
 
 
 def _chosen(columns: Columns, view: RecordView) -> RecordView:
@@ -239,26 +235,31 @@ class RecordLoad:
     left_out: int
 
 
-def _load_of(name: str, parts: list[Part], block: int, structures: Sequence[Load]) -> RecordLoad:
-    """Return the load between any input and output, of the structure that the record shows."""
+def _load_of(
+    name: str, parts: list[Part], block: int, drive: Configuration | None, lags: Sequence[int] = ()
+) -> RecordLoad:
+    """Return the load of the structure that a record shows.
+
+    Args:
+        name: Of the record.
+        parts: Its parts.
+        block: Samples that are averaged.
+        drive: The drive whose boost voltage and output they are; None for any input and output.
+        lags: How many lags the load may have, where there is no drive.
+    """
+    structures = candidate_loads(drive) if drive else [plain_load(count) for count in lags]
     load = identify_any([one for _, one in parts], structures, block=block)
     used = [parts[place] for place in load.used]
     ends_s = (begin_s + len(one.output) // block * block * one.period_s for begin_s, one in used)
     left_out = len(parts) - len(used)
-    return RecordLoad(name, "", tuple(ends_s), load, {}, {}, time_constants(load), left_out)
-
-
-def _of_drive(name: str, parts: list[Part], block: int, configuration: Configuration) -> RecordLoad:
-    """Return the load between the boost voltage and the output of a drive."""
-    structure, section = build_load(configuration), configuration.load
-    found = _load_of(name, parts, block, candidate_loads(configuration))
-    nominal = structure.physical(list(structure.numerator), list(structure.denominator))
-    return replace(
-        found,
-        unit=section.output_unit,
-        nominal=dict(zip(structure.names, nominal, strict=True)),
-        model=proposed_model(found.load, section),
-    )
+    found = RecordLoad(name, "", tuple(ends_s), load, {}, {}, time_constants(load), left_out)
+    if drive is None:
+        return found
+    nominal, section = build_load(drive), drive.load
+    values = nominal.physical(list(nominal.numerator), list(nominal.denominator))
+    known = dict(zip(nominal.names, values, strict=True))
+    model = proposed_model(load, section)
+    return replace(found, unit=section.output_unit, nominal=known, model=model)
 
 
 def plain_load(lags: int) -> Load:
@@ -275,44 +276,26 @@ def plain_load(lags: int) -> Load:
     return motor.motor_load(1.0, 1.0, 1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class SessionLoad(RecordLoad):
-    """The load of a recorded session.
-
-    Attributes:
-        session: The session.
-        configuration: The one that it ran with.
-        stretches: Parts of it that were used.
-    """
-
-    session: Session
-    configuration: Configuration
-    stretches: list[Stretch]
-
-
 def identify_session(
-    path: Path, begin_s: float | None = None, end_s: float | None = None
-) -> SessionLoad:
-    """Identify the load of a recorded session.
+    session: Session, begin_s: float | None = None, end_s: float | None = None
+) -> tuple[RecordLoad, list[Stretch]]:
+    """Identify the load of a recorded session, and return the parts of it that were used, too.
 
     Args:
-        path: Directory of the session.
+        session: The session.
         begin_s: First second used, from the first tick on; None for the first.
         end_s: Last second used, None for the last.
 
     Raises:
         AdaptdriveError: The session cannot be read, or does not show its load.
     """
-    session = read_session(path)
-    configuration = reconfigured(session.config_text, path / "config.toml", ())
+    configuration = reconfigured(session.config_text, session.path / "config.toml", ())
     stretches, short = read_stretches(session, begin_s, end_s)
     parts = [(one.begin_s, one.excerpt) for one in stretches]
-    found = _of_drive(session.path.name, parts, block_samples(stretches), configuration)
-    known = {one.name: getattr(found, one.name) for one in fields(found)}
-    known["online"] = _online(session, tuple(found.nominal), end_s)
-    known["left_out"] += short
+    found = _load_of(session.path.name, parts, block_samples(stretches), configuration)
+    online = _online(session, tuple(found.nominal), end_s)
     used = [stretches[place] for place in found.load.used]
-    return SessionLoad(**known, session=session, configuration=configuration, stretches=used)
+    return replace(found, online=online, left_out=found.left_out + short), used
 
 
 def _online(session: Session, names: tuple[str, ...], end_s: float | None) -> dict[str, Estimate]:
@@ -347,7 +330,7 @@ def identify_source(
         if path.is_file():
             return _identify(columns_of_file(path), path.name, view)
         _refuse_columns(view, "a session")
-        return identify_session(path, view.begin_s, view.end_s)
+        return identify_session(read_session(path), view.begin_s, view.end_s)[0]
     if isinstance(source, closed_loop.Simulation):
         _refuse_columns(view, "a simulation")
         # voltage and output of a reading are taken at once
@@ -363,12 +346,9 @@ def _identify(columns: Columns, name: str, view: RecordView) -> RecordLoad:
         config = load_configuration(Path(config))
     parts = read_record(columns, replace(view, config=config))
     block = math.ceil(sum(len(one.output) for _, one in parts) / _MOST_BLOCKS)
-    if config is None:
-        lags = (1, 2) if view.lags is None else (view.lags,)
-        return _load_of(name, parts, block, [plain_load(count) for count in lags])
-    if view.lags is not None:
+    if config is not None and view.lags is not None:
         raise IdentificationError("lags and a configuration were given: it says how many there are")
-    return _of_drive(name, parts, block, config)
+    return _load_of(name, parts, block, config, (1, 2) if view.lags is None else (view.lags,))
 
 
 def _refuse_columns(view: RecordView, kind: str) -> None:

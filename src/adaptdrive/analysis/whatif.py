@@ -12,12 +12,13 @@ from matplotlib.figure import Figure
 
 from adaptdrive.analysis import closed_loop, curves, excerpts, figures, load_report
 from adaptdrive.analysis.curves import Array, Response, response_of
-from adaptdrive.analysis.record import SessionLoad, identify_session
+from adaptdrive.analysis.record import identify_session
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
+from adaptdrive.config.load import AnyLoad
 from adaptdrive.control.signals import Mode
-from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import ConfigurationError, IdentificationError
 
@@ -29,14 +30,14 @@ class Comparison:
     """A recorded session and the same with other settings.
 
     Attributes:
-        found: The session and its load.
+        session: The session.
         recorded: What was recorded.
         repeated: Simulated with the recorded settings: as good as the model is.
         changed: Simulated with the other settings.
         idle: Settings without an effect on the loop.
     """
 
-    found: SessionLoad
+    session: Session
     recorded: Response
     repeated: Response
     changed: Response
@@ -66,31 +67,33 @@ def what_if(
         AdaptdriveError: The session does not show its load, no controller was in force in it, or a
             setting is not valid.
     """
-    source = path / "config.toml"
-    changed = _changed(read_session(path).config_text, source, settings)
-    found = identify_session(path, begin_s, end_s)
-    part = max(found.stretches, key=_controlled)
+    session, source = read_session(path), path / "config.toml"
+    own, changed = (reconfigured(session.config_text, source, one) for one in ((), settings))
+    if changed.load.type != own.load.type:
+        raise ConfigurationError.of(source, "load.type", f"the session shows a {own.load.type}")
+    found, stretches = identify_session(session, begin_s, end_s)
+    part = max(stretches, key=_controlled)
     if not _controlled(part)[0]:
         raise IdentificationError(f"{path}: V_c was set by hand: no controller was in force then")
     # From its enabling on: what the controller has learnt at the first second used is unknown.
-    runs, _ = excerpts.read_stretches(found.session, None, end_s)
+    runs, _ = excerpts.read_stretches(session, None, end_s)
     run = [one for one in runs if one.begin_s <= part.begin_s][-1]
+    prior, section = _trusted(session, own, tuple(found.nominal), run), own.load
+
+    def simulated(configuration: Configuration) -> Response:
+        plant = excerpts.disturbed_plant(found.load, build_load(own), run)
+        pole, volts = configuration.load.pole, float(run.columns["boost_voltage_V"][0])
+        orders = run.orders(pole if pole != section.pole else None)
+        made = closed_loop.simulate(configuration, plant, orders, volts, prior)
+        return _response(section, run, made.columns, part.begin_s, made.fault)
+
     return Comparison(
-        found=found,
-        recorded=_response(found, run, run.columns, part.begin_s),
-        repeated=_simulated(found, run, found.configuration, part.begin_s),
-        changed=_simulated(found, run, changed, part.begin_s),
-        idle=tuple(one for one in settings if _is_idle(found, source, one)),
+        session=session,
+        recorded=_response(section, run, run.columns, part.begin_s),
+        repeated=simulated(own),
+        changed=simulated(changed),
+        idle=tuple(one for one in settings if _is_idle(session, own, source, one)),
     )
-
-
-def _changed(text: str, source: Path, settings: Sequence[str]) -> Configuration:
-    """Return the recorded configuration with the settings; refuse another kind of load."""
-    recorded, changed = (reconfigured(text, source, one) for one in ((), settings))
-    if changed.load.type != recorded.load.type:
-        shown = f"the session shows a {recorded.load.type}"
-        raise ConfigurationError.of(source, "load.type", shown)
-    return changed
 
 
 def _controlled(stretch: excerpts.Stretch) -> tuple[int, int]:
@@ -106,39 +109,28 @@ def _acting(configuration: Configuration) -> tuple[object, ...]:
     return settings, build_load(configuration), configuration.load.pole, *drives
 
 
-def _is_idle(found: SessionLoad, source: Path, setting: str) -> bool:
+def _is_idle(session: Session, own: Configuration, source: Path, setting: str) -> bool:
     """Return whether a setting does not act on the loop; one that needs others does."""
     try:
-        alone = reconfigured(found.session.config_text, source, (setting,))
+        return _acting(reconfigured(session.config_text, source, (setting,))) == _acting(own)
     except ConfigurationError:
         return False
-    return _acting(alone) == _acting(found.configuration)
 
 
-def _simulated(
-    found: SessionLoad, stretch: excerpts.Stretch, configuration: Configuration, begin_s: float
-) -> Response:
-    own, volts = found.configuration, float(stretch.columns["boost_voltage_V"][0])
-    plant = excerpts.disturbed_plant(found.load, build_load(own), stretch)
-    pole = configuration.load.pole if configuration.load.pole != own.load.pole else None
-    prior = _trusted(found, stretch)
-    run = closed_loop.simulate(configuration, plant, stretch.orders(pole), volts, prior)
-    return _response(found, stretch, run.columns, begin_s, run.fault)
-
-
-def _trusted(found: SessionLoad, stretch: excerpts.Stretch) -> tuple[float, ...] | None:
+def _trusted(
+    session: Session, own: Configuration, names: tuple[str, ...], stretch: excerpts.Stretch
+) -> tuple[float, ...] | None:
     """Return the parameters that the daemon had trusted by the start of a run of the drive."""
-    if stretch.begin_s > found.configuration.load.period_s:
-        window = curves.find_window(found.session, None, stretch.begin_s)
-        shown = curves.read_curves(found.session, window)
+    if stretch.begin_s > own.load.period_s:
+        shown = curves.read_curves(session, curves.find_window(session, None, stretch.begin_s))
         accepted = np.flatnonzero(shown.slow.get("accepted", ()))
         if len(accepted):
-            return tuple(float(shown.estimates[name][0][accepted[-1]]) for name in found.nominal)
-    return found.session.info.prior
+            return tuple(float(shown.estimates[name][0][accepted[-1]]) for name in names)
+    return session.info.prior
 
 
 def _response(
-    found: SessionLoad,
+    section: AnyLoad,
     stretch: excerpts.Stretch,
     ticks: dict[str, Array],
     begin_s: float,
@@ -149,7 +141,6 @@ def _response(
     ends = np.arange(1.0, len(ticks["output"]) // samples + 1.0)
     ends_s = stretch.begin_s + samples * stretch.period_s * ends
     first = int(np.argmax(ends_s > begin_s))
-    section = found.configuration.load
     return response_of(ticks, samples, ends_s[first:], section, fault)
 
 
@@ -167,7 +158,7 @@ _ROWS = (
 
 def as_text(comparison: Comparison) -> str:
     """Return the comparison as a table."""
-    info = comparison.found.session.info
+    info = comparison.session.info
     units = {"y": info.output_unit, "v": info.manipulated.unit}
     responses = comparison.responses
     rows = [f"{'':<28}" + "".join(f"{name:>12}" for name in responses)]
@@ -218,7 +209,7 @@ def draw_comparison(comparison: Comparison, settings: tuple[str, ...]) -> bytes:
             **figures.TRUTH,
         )
         _draw(volts, comparison, "boost_voltage_V")
-        info = comparison.found.session.info
+        info = comparison.session.info
         given = info.manipulated
         output.set_ylabel(figures.labelled("output", info.output_unit))
         output.set_title(", ".join(settings) or "recorded settings")

@@ -55,10 +55,11 @@ def can_part(database: Database, name: str, choices: Choices) -> str:
     chosen = [one for one in choices.values() if one is not None]
     messages = {one.reference.partition(".")[0]: None for one in chosen}
     used = [database.get_message_by_name(message) for message in messages]
-    clock = _clock(used, choices)
-    head = _CAN.format(
-        database=quoted(name), clock=clock.name if clock else "", ticks=_ticks(clock)
-    )
+    output = choices.get("output") or choices.get("boost_voltage_V")
+    clock = output.reference.partition(".")[0] if output else ""  # its arrival is the tick
+    cycle_s = next((cycle_time_s(one) for one in used if one.name == clock), 0.0)
+    ticks = max(1, round(cycle_s * _HALF_CYCLES_PER_S))
+    head = _CAN.format(database=quoted(name), clock=clock, ticks=ticks)
     return "".join([head, *_proofs(used), *_signals(choices)])
 
 
@@ -70,18 +71,6 @@ def canopen_part(eds: str, choices: Choices) -> str:
         choices: The chosen objects.
     """
     return "".join([_CANOPEN.format(eds=quoted(eds)), *_signals(choices)])
-
-
-def _clock(used: Iterable[Message], choices: Choices) -> Message | None:
-    """Return the message that carries the output; its arrival is the tick."""
-    output = choices.get("output") or choices.get("boost_voltage_V")
-    name = output.reference.partition(".")[0] if output else ""
-    return next((message for message in used if message.name == name), None)
-
-
-def _ticks(clock: Message | None) -> int:
-    cycle_s = cycle_time_s(clock) if clock else 0.0
-    return max(1, round(cycle_s * _HALF_CYCLES_PER_S))
 
 
 def _proofs(used: Iterable[Message]) -> Iterator[str]:

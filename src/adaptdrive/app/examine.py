@@ -54,7 +54,11 @@ def _description_flaws(findings: file.Findings, path: Path) -> Iterator[Flaw]:
     """Yield the errors in the files and maps that describe drive and sensors."""
     configuration, valid, flaws = findings
     whole = valid >= _OF_PORT
-    if whole and _leads_somewhere(configuration, flaws):
+    if whole and not (
+        # names in `[signals]` can be looked up in a valid register map alone
+        isinstance(configuration.bus, polled.ModbusBus | polled.ScpiBus)
+        and any(flaw.place.startswith(("bus", "signals")) for flaw in flaws)
+    ):
         yield from _flaws_of(lambda: ports.build_port(configuration, now_s, path))
     if "sensor_bus" not in valid:
         return
@@ -63,13 +67,6 @@ def _description_flaws(findings: file.Findings, path: Path) -> Iterator[Flaw]:
         place = f"sensor_bus.{number}"
         build = functools.partial(ports.build_sensor_port, bus, place, now_s, path, demands)
         yield from _flaws_of(build)
-
-
-def _leads_somewhere(configuration: Configuration, flaws: Iterable[Flaw]) -> bool:
-    """Return whether names in `[signals]` can be looked up, which needs a valid register map."""
-    if not isinstance(configuration.bus, polled.ModbusBus | polled.ScpiBus):
-        return True
-    return not any(flaw.place.startswith(("bus", "signals")) for flaw in flaws)
 
 
 def _flaws_of(build: Callable[[], object]) -> tuple[Flaw, ...]:

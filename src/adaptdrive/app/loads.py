@@ -7,10 +7,10 @@ physical parameters are wrong by a tenth: the worst are at the corners of that b
 
 import itertools
 import math
-from dataclasses import replace
+from typing import Any
 
 from adaptdrive.config import Configuration, root
-from adaptdrive.config.load import BathModel, BathSection, BatterySection, LoadSection, MotorSection
+from adaptdrive.config.load import BathSection, BatterySection, LoadSection, MotorSection
 from adaptdrive.control.design.pole_placement import Plant, discrete_model, is_stable
 from adaptdrive.control.estimation.direct import METHODS
 from adaptdrive.control.loads import bath, motor
@@ -42,14 +42,14 @@ def build_load(configuration: Configuration) -> Load:
             lag_s = short_lag_s(configuration) or model.tau_filter_s
             return motor.motor_load(model.gain, model.tau_motor_s, lag_s)
         case BathSection(model=model):
-            return _bath_load(model, model.lag_s, model.delay_s)
-        case BatterySection(model=model):
+            return bath.bath_load(**model.model_dump())
+        case BatterySection(model=model, charge=charge):
+            stage = model.turns_ratio, model.droop_Ohm, model.internal_Ohm
+            longest_s = math.inf if charge.longest_h is None else 3600.0 * charge.longest_h
+            charging = Charging(*stage, charge.voltage_max_V, charge.end_current_A, longest_s)
+            series_Ohm, relaxation_s = model.droop_Ohm + model.internal_Ohm, model.relaxation_s
             return battery_load(
-                model.turns_ratio,
-                model.droop_Ohm + model.internal_Ohm,
-                model.relaxation_Ohm,
-                model.relaxation_s,
-                _charging(configuration.load),
+                model.turns_ratio, series_Ohm, model.relaxation_Ohm, relaxation_s, charging
             )
 
 
@@ -72,31 +72,8 @@ def candidate_loads(configuration: Configuration) -> list[Load]:
     if not isinstance(configuration.load, BathSection):
         return [build_load(configuration)]
     model = configuration.load.model
-    return [_bath_load(model, lag_s, 0.0) for lag_s in (0.0, model.lag_s or model.tau_s)]
-
-
-def _bath_load(model: BathModel, lag_s: float, delay_s: float) -> Load:
-    return bath.bath_load(
-        resistance_K_per_W=model.resistance_K_per_W,
-        tau_s=model.tau_s,
-        turns_ratio=model.turns_ratio,
-        droop_Ohm=model.droop_Ohm,
-        heater_Ohm=model.heater_Ohm,
-        lag_s=lag_s,
-        delay_s=delay_s,
-    )
-
-
-def _charging(battery: BatterySection) -> Charging:
-    model, charge, longest_h = battery.model, battery.charge, battery.charge.longest_h
-    return Charging(
-        turns_ratio=model.turns_ratio,
-        droop_Ohm=model.droop_Ohm,
-        internal_Ohm=model.internal_Ohm,
-        voltage_max_V=charge.voltage_max_V,
-        end_current_A=charge.end_current_A,
-        longest_s=math.inf if longest_h is None else 3600.0 * longest_h,
-    )
+    shapes = [{"lag_s": lag_s, "delay_s": 0.0} for lag_s in (0.0, model.lag_s or model.tau_s)]
+    return [bath.bath_load(**(model.model_dump() | shape)) for shape in shapes]
 
 
 def pole_range(
@@ -159,23 +136,30 @@ _POWER_FACTOR = 2.0
 """A power is measured, and half of it at most is lost on the way to the load."""
 
 
+def _judged(configuration: Configuration) -> dict[str, Any]:
+    """Return the model of the load by which its output is judged."""
+    load, section = build_load(configuration), configuration.load
+    return {
+        "output_unit": section.output_unit,
+        "output_name": section.output_name,
+        "gain": load.gain,
+        "input_gain": load.input_gain,
+        "input_exponent": load.input_exponent,
+        "lags_s": (load.lag_s / load.order,) * load.order,
+    }
+
+
 def stillness_limits(configuration: Configuration) -> plausibility.StillnessLimits | None:
     """Return when the output is stuck, None for never."""
     interlocks, section = configuration.interlocks, configuration.load
     if not interlocks.stuck_distance and not interlocks.stuck_s:
         return None
-    load = build_load(configuration)
     distance = interlocks.stuck_distance * (section.reference_max - section.reference_min)
     if section.traits.charges:  # takes no current at all below its own voltage
         distance = 0.0
     return plausibility.StillnessLimits(
-        output_unit=section.output_unit,
-        output_name=section.output_name,
-        gain=load.gain,
-        input_gain=load.input_gain,
-        input_exponent=load.input_exponent,
+        **_judged(configuration),
         resolution=section.resolution,
-        lags_s=(load.lag_s / load.order,) * load.order,
         distance=distance or math.inf,
         longest_s=interlocks.stuck_s or math.inf,
         inputs=root.moved_inputs("output", configuration.derived),
@@ -189,25 +173,17 @@ def response_limits(configuration: Configuration) -> plausibility.ResponseLimits
         return None
     load, highest_V = build_load(configuration), configuration.drive.limits.boost_reference_max_V
     reference_range = section.reference_max - section.reference_min
-    limits = plausibility.ResponseLimits(
-        output_unit=section.output_unit,
-        output_name=section.output_name,
-        gain=load.gain,
-        input_gain=load.input_gain,
-        input_exponent=load.input_exponent,
-        input_max=to_input(highest_V, load.input_gain, load.input_exponent),
-        lags_s=(load.lag_s / load.order,) * load.order,
-        factor=factor,
-        reference_range=reference_range,
-    )
-    if not isinstance(section, BatterySection):
-        return limits
-    ratio = section.model.turns_ratio
-    return replace(
-        limits,
-        gain=1.0 / ratio,
-        input_max=reference_range * ratio,
-        lags_s=(section.period_s,),  # a sensor's cycle is no longer
-        factor=min(factor, _POWER_FACTOR),
-        by_power=True,
-    )
+    known = _judged(configuration) | {
+        "input_max": to_input(highest_V, load.input_gain, load.input_exponent),
+        "factor": factor,
+    }
+    if isinstance(section, BatterySection):
+        ratio = section.model.turns_ratio
+        known |= {
+            "gain": 1.0 / ratio,
+            "input_max": reference_range * ratio,
+            "lags_s": (section.period_s,),  # a sensor's cycle is no longer
+            "factor": min(factor, _POWER_FACTOR),
+            "by_power": True,
+        }
+    return plausibility.ResponseLimits(**known, reference_range=reference_range)

@@ -16,7 +16,7 @@ import socket
 import struct
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -43,24 +43,12 @@ _START_FIELD = 19
 """Place of `starttime` in /proc/PID/stat, counted after the name of the program."""
 
 _BACKLOG = 4096
-"""Refused processes that may wait for the answer; more cannot learn which process holds a lock."""
-
-RELEASE_S = 1.0
-"""Time from one closing of the connections of refused processes to the next."""
-
-_CLOSED_AT_ONCE = 64
-"""Connections of refused processes that are closed between two ticks: about 1 ms."""
+"""Refused processes that learn which process holds a lock; the kernel keeps no more of them."""
 
 
-class LockedError(AdaptdriveError):
-    """Another process of this machine controls the drive."""
-
-    def __init__(self, what: str, holder: str) -> None:
-        self.holder = holder
-        super().__init__(
-            f"{what} is controlled by {holder}; end that daemon first, or give this one another "
-            "drive"
-        )
+_CONTROLLED = (
+    "{name} is controlled by {holder}; end that daemon first, or give this one another drive"
+)
 
 
 def lock_names(configuration: Configuration) -> Iterator[str]:
@@ -80,30 +68,27 @@ def lock_names(configuration: Configuration) -> Iterator[str]:
 
 
 @contextmanager
-def locked(names: Iterable[str], environment: Mapping[str, str]) -> Iterator[list[socket.socket]]:
+def locked(
+    names: Iterable[str], environment: Mapping[str, str], refusal: str = _CONTROLLED
+) -> Iterator[None]:
     """Hold locks until the block ends.
 
     Args:
         names: What is locked.
         environment: Process environment.
+        refusal: Text of the error, with places for `name` and `holder`.
 
     Raises:
-        LockedError: Another process holds one of them.
+        AdaptdriveError: Another process of this machine holds one of them.
     """
     namespace = environment.get(NAMESPACE, "")
     with ExitStack() as stack:
-        yield [stack.enter_context(_lock(name, namespace)) for name in names]
+        for name in names:
+            stack.enter_context(_lock(name, namespace, refusal))
+        yield
 
 
-async def close_refused(locks: Iterable[socket.socket]) -> None:
-    """Keep the locks able to name this process to those that are refused."""
-    for lock in locks:
-        with suppress(OSError):  # no more of them wait
-            for _ in range(_CLOSED_AT_ONCE):
-                lock.accept()[0].close()
-
-
-def _lock(name: str, namespace: str) -> socket.socket:
+def _lock(name: str, namespace: str, refusal: str) -> socket.socket:
     digest = hashlib.sha256(f"{namespace}\n{name}".encode()).hexdigest()
     address = f"\0adaptdrive-{digest[:32]}"
     lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -113,9 +98,8 @@ def _lock(name: str, namespace: str) -> socket.socket:
         lock.close()
         if problem.errno != errno.EADDRINUSE:
             raise AdaptdriveError(f"{name} cannot be locked: {problem.strerror}") from problem
-        raise LockedError(name, _holder(address)) from None
+        raise AdaptdriveError(refusal.format(name=name, holder=_holder(address))) from None
     lock.listen(_BACKLOG)
-    lock.settimeout(0.0)
     return lock
 
 
@@ -237,11 +221,8 @@ def prepared(configuration: Configuration, source: Path, hub: reports.Hub) -> It
     WarmUp(configuration, ports.build_port(configuration, now_s, source)).run()
     with realtime.real_time(configuration.realtime) as answers:
         for grant in answers:
-            hub.publish(_event(grant))
+            severity = reports.Severity.INFO if grant.granted else reports.Severity.WARNING
+            answer = "granted" if grant.granted else "refused"
+            detail = f"{grant.asked} {answer}: {grant.meaning}"
+            hub.publish(reports.Event("realtime", severity, detail, -1))
         yield
-
-
-def _event(grant: realtime.Grant) -> reports.Event:
-    severity = reports.Severity.INFO if grant.granted else reports.Severity.WARNING
-    answer = "granted" if grant.granted else "refused"
-    return reports.Event("realtime", severity, f"{grant.asked} {answer}: {grant.meaning}", -1)

@@ -196,41 +196,36 @@ def _event(severity: Severity, detail: str) -> Event:
     return Event("checkpoint", severity, detail, 0)
 
 
-@dataclass
-class Keeper:
-    """Has the log keep trusted estimates: when they are accepted, at most once a minute.
+async def keep_learnt(
+    note: Callable[[Learnt], None],
+    learnt: Callable[[], Learnt],
+    hub: Hub,
+    clock: Callable[[], float],
+) -> None:
+    """Have the log keep trusted estimates until cancelled: at most once a minute, and at the end.
 
-    Attributes:
+    Args:
         note: Hands a checkpoint over to the log, at once.
-        learnt: Gives what the controller has learnt.
+        learnt: Returns what the controller has learnt.
         hub: Where slow periods are reported.
         clock: Monotonic clock in seconds.
     """
-
-    note: Callable[[Learnt], None]
-    learnt: Callable[[], Learnt]
-    hub: Hub
-    clock: Callable[[], float]
-
-    def __post_init__(self) -> None:
-        self._reports = self.hub.subscribe(LoadReport, size=_REPORTS_HELD)
-        self._noted = Learnt()
-        self._next_s = self.clock()
-
-    async def run(self) -> None:
-        """Keep what is accepted until cancelled."""
+    reports, noted, next_s = hub.subscribe(LoadReport, size=_REPORTS_HELD), Learnt(), clock()
+    try:
         while True:
-            await self._reports.take()
-            if self.clock() >= self._next_s:
-                self.save()
+            await reports.take()
+            present = learnt()
+            if clock() >= next_s and _is_new(present, noted):
+                note(present)
+                noted, next_s = present, clock() + _EVERY_S
+    finally:
+        present = learnt()
+        if _is_new(present, noted):
+            note(present)
 
-    def save(self) -> None:
-        """Note the trusted estimates and the resolution now, if they are new."""
-        learnt = self.learnt()
-        if learnt.values is not None and learnt != self._noted:
-            self._next_s = self.clock() + _EVERY_S
-            self.note(learnt)
-            self._noted = learnt
+
+def _is_new(learnt: Learnt, noted: Learnt) -> bool:
+    return learnt.values is not None and learnt != noted
 
 
 # The recorder of a drive, as its configuration asks for.

@@ -11,12 +11,11 @@ import functools
 import io
 import os
 import signal
-import socket
 import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Coroutine, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -27,13 +26,7 @@ from typing import Any, TextIO, cast
 import msgspec
 
 from adaptdrive import __version__, build_name
-from adaptdrive.app import examine, loads, ports, process, recording, reload
-from adaptdrive.app.settings import (
-    controller_settings,
-    fast_settings,
-    machine_limits,
-    operator_profile,
-)
+from adaptdrive.app import examine, loads, ports, process, recording, reload, settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
@@ -179,20 +172,9 @@ UNRECORDED = 4
 
 _EVENTS_HELD = 1000
 
+_NAMES = "TERM INT QUIT HUP USR1 USR2 ALRM VTALRM PROF IO PWR XCPU STKFLT"
 _ENDING = (
-    signal.SIGTERM,
-    signal.SIGINT,
-    signal.SIGQUIT,
-    signal.SIGHUP,
-    signal.SIGUSR1,
-    signal.SIGUSR2,
-    signal.SIGALRM,
-    signal.SIGVTALRM,
-    signal.SIGPROF,
-    signal.SIGIO,
-    signal.SIGPWR,
-    signal.SIGXCPU,
-    signal.SIGSTKFLT,
+    *(signal.Signals[f"SIG{name}"] for name in _NAMES.split()),
     *range(signal.SIGRTMIN, signal.SIGRTMAX + 1),
 )
 """Signals that end a process by default; those of a crash, SIGABRT among them, stay as they are."""
@@ -217,22 +199,17 @@ def run(path: Path) -> int:
     try:
         with (
             unblocked_output(start_thread),
-            process.locked(process.lock_names(configuration), os.environ) as locks,
+            process.locked(process.lock_names(configuration), os.environ),
             asyncio.Runner() as runner,
         ):
             given = reload.RunInput(configuration, text)
-            complete = runner.run(_serve(given, path, locks, start_thread))
+            complete = runner.run(_serve(given, path, start_thread))
     except* AdaptdriveError as group:
         raise first_error(group) from None
     return 0 if complete else UNRECORDED
 
 
-async def _serve(
-    given: reload.RunInput,
-    path: Path,
-    locks: Sequence[socket.socket],
-    start_thread: Callable[[], None],
-) -> bool:
+async def _serve(given: reload.RunInput, path: Path, start_thread: Callable[[], None]) -> bool:
     """Serve until asked to stop; False when the end of a session is not recorded."""
     configured()
     course = reload.RunCourse(path, given)
@@ -241,16 +218,11 @@ async def _serve(
     asyncio.get_running_loop().set_default_executor(helpers)
     _stop_on_signals(course.end)
     feed = functools.partial(course.feed_between, tick_support.ServiceManager(os.environ))
-    release = functools.partial(process.close_refused, locks)
-    services = [
-        asyncio.create_task(clock.repeat(*one))
-        for one in ((feed, reload.FEED_S), (release, process.RELEASE_S))
-    ]
+    feeding = asyncio.create_task(clock.repeat(feed, reload.FEED_S))
     complete = True
     while (present := course.next_run()) is not None:
         complete &= await _run(present, course, start_thread)
-    for service in services:
-        await _end(service)
+    await _end(feeding)
     write_line("info", "stopped")
     return complete
 
@@ -262,12 +234,12 @@ async def _run(
     configuration, hub = given.configuration, reports.Hub()
     events = hub.subscribe(reports.Event, size=_EVENTS_HELD)
     port = ports.build_whole_port(configuration, clock.now_s, course.path)
-    settings, load = controller_settings(configuration), loads.build_load(configuration)
+    law, load = settings.controller_settings(configuration), loads.build_load(configuration)
     recalled = recall_log(recording.place_of(configuration)[0], datetime.now(UTC))
     learnt, known = recording.recall(
-        recalled.learnt, configuration, settings, load, measured=given.measured
+        recalled.learnt, configuration, law, load, measured=given.measured
     )
-    controller = Controller(settings, load, learnt.values, learnt.resolution)
+    controller = Controller(law, load, learnt.values, learnt.resolution)
     recorder = recording.build_recorder(
         configuration, given.text, hub, recalled, learnt, start_thread
     )
@@ -277,8 +249,8 @@ async def _run(
         port=port,
         controller=controller,
         configuration=configuration,
-        machine=machine_limits(configuration),
-        fast=fast_settings(configuration),
+        machine=settings.machine_limits(configuration),
+        fast=settings.fast_settings(configuration),
         clock=clock.now_s,
         hub=hub,
         manager=tick_support.ServiceManager(os.environ),
@@ -295,21 +267,19 @@ async def _run(
 
         start("lines", reload.write_events(events, hub.kept))
         start("recorder", recorder.run(daemon.opened))
-        profile, around = operator_profile(configuration), operator_log(recalled, recorder)
+        profile = settings.operator_profile(configuration)
+        around = operator_log(recalled, recorder)
         start("mqtt", MqttService(profile, configuration.mqtt, daemon, hub, around).run())
         start("opened", course.opened(daemon.opened))
-        if recording.is_kept(settings):
+        if recording.is_kept(law):
             note = _note(configuration, recorder)
             if given.measured:
                 note(learnt)
-            keeper = recording.Keeper(
-                note,
-                lambda: recording.Learnt(controller.trusted, controller.resolution),
-                hub,
-                clock.now_s,
-            )
-            ending.callback(keeper.save)
-            start("checkpoint", keeper.run())
+
+            def present() -> recording.Learnt:
+                return recording.Learnt(controller.trusted, controller.resolution)
+
+            start("checkpoint", recording.keep_learnt(note, present, hub, clock.now_s))
         for event in reload.start_events(given, known, recalled):
             hub.publish(event)
         with (

@@ -10,18 +10,10 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration, consistency
 from adaptdrive.config.bus import CanBus, CanOpenBus
 from adaptdrive.config.load import FORGETTING, MotorSection
-from adaptdrive.control import fast, thresholds
+from adaptdrive.control import fast, settings, thresholds
 from adaptdrive.control.estimation.direct import METHODS
 from adaptdrive.control.loads.discretise import KICK_SHARE, kick_factors
 from adaptdrive.control.loads.load import to_input
-from adaptdrive.control.settings import (
-    ControllerSettings,
-    EstimatorSettings,
-    PowerStage,
-    Probing,
-    Rates,
-    SupervisionLimits,
-)
 from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.mqtt.contract import Output, Profile
 from adaptdrive.runtime.settings import FastLoopSettings, MachineLimits
@@ -38,13 +30,17 @@ _BELOW_RANGE = 0.25
 def trip_limits(configuration: Configuration) -> Limits:
     """Return the levels at which a single reading trips the drive."""
     interlocks, load = configuration.interlocks, configuration.load
+    lowest = interlocks.output_min
+    if lowest is None:  # no load at rest or in control has an output below it
+        span = load.reference_max - load.reference_min
+        lowest = min(0.0, load.reference_min) - _BELOW_RANGE * span
     return Limits(
         boost_voltage_max_V=interlocks.boost_voltage_max_V,
         output_max=interlocks.output_max,
         output_unit=load.output_unit,
         output_name=load.output_name,
         given=configuration.drive.given,
-        output_min=_output_min(configuration),
+        output_min=lowest,
         absent=consistency.absent_names(configuration),
     )
 
@@ -57,14 +53,6 @@ def watches(configuration: Configuration) -> tuple[Callable[[], plausibility.Wat
     if (response := loads.response_limits(configuration)) is not None:
         found.append(functools.partial(plausibility.Response, response))
     return tuple(found)
-
-
-def _output_min(configuration: Configuration) -> float:
-    """Return the lowest output: below it is none that a load at rest or in control has."""
-    load, given = configuration.load, configuration.interlocks.output_min
-    if given is not None:
-        return given
-    return min(0.0, load.reference_min) - _BELOW_RANGE * (load.reference_max - load.reference_min)
 
 
 # Settings of controller and runtime, made from the configuration.
@@ -120,14 +108,14 @@ _SHORTEST_WAVE_PERIODS = 4
 """Shortest period of a waveform, in slow periods: two samples for each half."""
 
 
-def controller_settings(configuration: Configuration) -> ControllerSettings:
+def controller_settings(configuration: Configuration) -> settings.ControllerSettings:
     """Return all settings of the controller."""
     load, warm_up_s = configuration.load, configuration.supervisor.warm_up_s
     exact = load.design == "exact"
-    return ControllerSettings(
+    return settings.ControllerSettings(
         exact=exact,
         stage=_power_stage(configuration),
-        rates=Rates(
+        rates=settings.Rates(
             ticks_per_period=configuration.ticks_per_period,
             latency_ticks=load.latency_ticks,
             samples=load.samples if exact else 1,
@@ -138,7 +126,7 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
         learning=_learning(configuration) if exact else paper_learning(configuration),
         supervision=_supervision(configuration)
         if exact
-        else SupervisionLimits(_periods(configuration, warm_up_s)),
+        else settings.SupervisionLimits(_periods(configuration, warm_up_s)),
         probing=_probing(configuration),
     )
 
@@ -149,11 +137,11 @@ def _lag_ticks(configuration: Configuration) -> float:
     return fast.LAG_TICKS if lag_s is None else lag_s / configuration.drive.half_cycle_s
 
 
-def _power_stage(configuration: Configuration) -> PowerStage:
+def _power_stage(configuration: Configuration) -> settings.PowerStage:
     drive, loop = configuration.drive, configuration.voltage_loop
     limits = drive.limits
     kick_ticks, kick_first, kick_second = _kicks(configuration)
-    return PowerStage(
+    return settings.PowerStage(
         current_scale_min_S=drive.current_scale_min_S,
         current_scale_max_S=limits.current_scale_max_S,
         boost_reference_min_V=limits.boost_reference_min_V,
@@ -181,7 +169,7 @@ def _kicks(configuration: Configuration) -> tuple[int, float, float]:
     return ticks, *kick_factors(load, section.period_s, delay_s, ticks * tick_s)
 
 
-def _learning(configuration: Configuration) -> EstimatorSettings:
+def _learning(configuration: Configuration) -> settings.EstimatorSettings:
     estimator, load = configuration.estimator, build_load(configuration)
     charges = configuration.load.traits.charges
     limits = configuration.drive.limits
@@ -189,7 +177,7 @@ def _learning(configuration: Configuration) -> EstimatorSettings:
     middle_V = 0.5 * (low_V + high_V if low_V >= 0.0 else max(-low_V, abs(high_V)))
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
     physical = METHODS[estimator.method].physical
-    return EstimatorSettings(
+    return settings.EstimatorSettings(
         tau_lambda_s=estimator.tau_lambda_s,
         gate=_GATE,
         alert=True,
@@ -209,10 +197,10 @@ def _learning(configuration: Configuration) -> EstimatorSettings:
     )
 
 
-def _supervision(configuration: Configuration) -> SupervisionLimits:
+def _supervision(configuration: Configuration) -> settings.SupervisionLimits:
     supervisor, load = configuration.supervisor, configuration.load
     reference_range = load.reference_max - load.reference_min
-    return SupervisionLimits(
+    return settings.SupervisionLimits(
         ratio_min=supervisor.ratio_min,
         ratio_max=supervisor.ratio_max,
         revokes=True,
@@ -232,13 +220,13 @@ def _supervision(configuration: Configuration) -> SupervisionLimits:
     )
 
 
-def _probing(configuration: Configuration) -> Probing:
+def _probing(configuration: Configuration) -> settings.Probing:
     """Return limits of the probing, which needs an estimate of physical parameters."""
     load = configuration.load
     if load.design != "exact" or not METHODS[configuration.estimator.method].physical:
-        return Probing()
+        return settings.Probing()
     scale = 1.0 if load.traits.charges else load.reference_max - load.reference_min
-    return Probing(
+    return settings.Probing(
         amplitude=load.probe_share * scale,
         stale_periods=_periods(configuration, _PROBE_S),
         settle_periods=_periods(configuration, configuration.estimator.settle_s),
@@ -264,8 +252,8 @@ def _periods(configuration: Configuration, time_s: float) -> int:
 def machine_limits(configuration: Configuration) -> MachineLimits:
     """Return the limits of an operator's requests."""
     load, drive = configuration.load, configuration.drive
-    settings, model = controller_settings(configuration), build_load(configuration)
-    pole_min, pole_max = loads.pole_range(settings, model, load)
+    law, model = controller_settings(configuration), build_load(configuration)
+    pole_min, pole_max = loads.pole_range(law, model, load)
     patience_s = configuration.interlocks.precharge_timeout_s
     verdict_ticks = frames.verdict_ticks(configuration.bus.ticks_per_reading)
     return MachineLimits(
@@ -276,7 +264,7 @@ def machine_limits(configuration: Configuration) -> MachineLimits:
         period_min_s=_SHORTEST_WAVE_PERIODS * load.period_s,
         starting_ticks=round(patience_s / drive.half_cycle_s),
         rate_s=max(patience_s, verdict_ticks * drive.half_cycle_s),
-        reach=nominal_reach(model, settings.stage),
+        reach=nominal_reach(model, law.stage),
     )
 
 
@@ -295,7 +283,7 @@ def fast_settings(configuration: Configuration) -> FastLoopSettings:
     )
 
 
-def paper_learning(configuration: Configuration) -> EstimatorSettings:
+def paper_learning(configuration: Configuration) -> settings.EstimatorSettings:
     """Return the plain estimator (3), which starts at θ = 0; a battery's EMF is a bias of it.
 
     Nothing is added to the paper's controller: no bounds, no patience, no scaling, no gate, no
@@ -303,7 +291,7 @@ def paper_learning(configuration: Configuration) -> EstimatorSettings:
     gains in force as they are; nothing else is checked.
     """
     estimator, load = configuration.estimator, configuration.load
-    return EstimatorSettings(
+    return settings.EstimatorSettings(
         method=estimator.method,
         forgetting=estimator.forgetting or load.traits.paper_forgetting,
         tau_lambda_s=estimator.tau_lambda_s,

@@ -6,7 +6,7 @@ import asyncio
 import re
 import sys
 import webbrowser
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -98,57 +98,43 @@ def _plot_loop(path: Path, view: SessionView) -> int:
     return view.present(f"{bode.as_text(spread)}\n\n{figure}", bode.as_json(spread), figure)
 
 
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True)
-class FileView:
-    """Options for reading a CSV file; not for a session.
-
-    Attributes:
-        input: Name of the column of the input; guessed when left out, as are the next two.
-        output: Name of the column of the output.
-        time: Name of the column of times, in the unit of its header, else in seconds, or as dates.
-        sample_time_s: Seconds between two rows, where there is no such column.
-        before: Input before the first row, under which the load had come to rest.
-        lags: Lags of the load, 1 or 2; when left out two if the record shows a second one.
-        config: Configuration of the drive whose boost voltage and output the file has.
-    """
-
-    input: str | None = None
-    output: str | None = None
-    time: str | None = None
-    sample_time_s: Annotated[float | None, Parameter(name="--sample-time")] = None
-    before: float | None = None
-    lags: int | None = None
-    config: Path | None = None
-
-
-_GUESSED = FileView()
-
-
-def identify(
+def identify(  # noqa: PLR0913 - one parameter for each option
     source: str | None = None,
     /,
     *,
-    columns: FileView = _GUESSED,
+    input: str | None = None,  # noqa: A002 - the name of the option
+    output: str | None = None,
+    time: str | None = None,
+    sample_time: float | None = None,
+    before: float | None = None,
+    lags: int | None = None,
+    config: Path | None = None,
     view: SessionView = _WHOLE,
 ) -> int:
     """Identify the load from a recorded session or a CSV file, in open or closed loop.
 
     Prints each parameter with its standard deviation, by prediction errors and by simulation, next
     to the last on-line estimate and the configured model, the checks of the fit, and proposed
-    values; draws load.png.
+    values; draws load.png. A session takes no option for reading a CSV file.
 
     Args:
         source: Folder of the session, its name below the sessions of this machine, or a CSV file;
             the last session when left out.
-        columns: How a CSV file is read.
+        input: Name of the column of the input; guessed when left out, as are the next two.
+        output: Name of the column of the output.
+        time: Name of the column of times, in the unit of its header, else in seconds, or as dates.
+        sample_time: Seconds between two rows, where there is no such column.
+        before: Input before the first row, under which the load had come to rest.
+        lags: Lags of the load, 1 or 2; when left out two if the record shows a second one.
+        config: Configuration of the drive whose boost voltage and output the file has.
         view: Part of the record, and the form of the result.
     """
     with options.needing("analysis"):
         from adaptdrive.analysis import load_report, record  # noqa: PLC0415 - they are large
     path = Path(source) if source is not None and Path(source).is_file() else opened(source).path
     figure = view.folder(path.parent if path.is_file() else path) / "load.png"
-    wanted = record.RecordView(**asdict(columns), begin_s=view.begin, end_s=view.end)
+    columns = record.RecordView(input, output, time, sample_time, before, lags, config)
+    wanted = replace(columns, begin_s=view.begin, end_s=view.end)
     found = record.identify_source(path, wanted)
     replace_result(figure, load_report.draw_load(found))
     text = f"{load_report.as_text(found)}\n\n{figure}"
@@ -156,11 +142,7 @@ def identify(
 
 
 def whatif(
-    session: str | None = None,
-    /,
-    *,
-    settings: options.Settings = (),
-    view: SessionView = _WHOLE,
+    session: str | None = None, /, *, settings: options.Settings = (), view: SessionView = _WHOLE
 ) -> int:
     """Run a session again in closed loop, against the load identified from it.
 
@@ -299,13 +281,13 @@ def commission(  # noqa: PLR0913 - the words of the command line
             digest = digest or _write(path, commissioned)
             _put_to_use(guide, commissioned, digest)
         else:
-            _print_next(drive, run.reached(commissioned), path if write else None)
+            _print_next(drive, commissioned.reached, path if write else None)
     return 0
 
 
 def _write(path: Path, commissioned: Commissioned) -> str:
     """Write the settings; return the digest of the file."""
-    from adaptdrive.commissioning.run import write  # noqa: PLC0415 - it is large
+    from adaptdrive.commissioning.evaluation import write  # noqa: PLC0415 - it is large
 
     backup, digest = write(path, commissioned)
     print(f"\n{path} is written, the old file is {backup}")
@@ -313,10 +295,10 @@ def _write(path: Path, commissioned: Commissioned) -> str:
 
 
 def _put_to_use(guide: Guide, commissioned: Commissioned, digest: str) -> None:
-    from adaptdrive.commissioning.run import put_to_use, reached  # noqa: PLC0415
+    from adaptdrive.commissioning.run import put_to_use  # noqa: PLC0415 - it is large
 
     drive, unit = guide.drive, commissioned.before.load.output_unit
-    setpoint = reached(commissioned)
+    setpoint = commissioned.reached
     waited_s = asyncio.run(put_to_use(guide, digest, setpoint))
     print(
         f"{drive} holds {setpoint:.4g} {unit} in mode adaptive, in force after {waited_s:.1f} s\n\n"

@@ -8,19 +8,19 @@ import sys
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import ValidationError
+from cyclopts import Parameter
 
 from adaptdrive.app import starter
 from adaptdrive.app.check_report import flawed_report, sound_report, tables
 from adaptdrive.app.examine import advice, examine_text, load_examined
 from adaptdrive.cli import UNUSABLE
-from adaptdrive.cli.options import Flag, Json, print_json
+from adaptdrive.cli.options import Flag, Json, check_drive, print_json
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanLink
 from adaptdrive.config.file import find_flaws, read_text
 from adaptdrive.config.load import LoadName
-from adaptdrive.config.root import DriveSection
 from adaptdrive.devices import description
 from adaptdrive.util.errors import ConfigurationError
 from adaptdrive.util.files import replace_regular
@@ -38,7 +38,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
     *,
     bus: starter.BusName | None = None,
     device: str | None = None,
-    name: str | None = None,
+    name: Annotated[str | None, Parameter(validator=check_drive)] = None,
     directory: Path = Path(),
     dbc: Path | None = None,
     eds: Path | None = None,
@@ -63,7 +63,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
     Returns:
         0 when the file passes `check`, 2 when something is left to fill in.
     """
-    drive = load if name is None else _refuse_misnamed(name)
+    drive = load if name is None else name
     if device is not None:
         own = dbc or eds
         if bus is not None or (dbc and eds):
@@ -113,15 +113,6 @@ def _refuse_misfits(
     return bus
 
 
-def _refuse_misnamed(name: str) -> str:
-    """Return the name of a drive, which becomes a file's name too; refuse what `check` refuses."""
-    try:
-        return DriveSection(name=name).name
-    except ValidationError as problem:
-        flaw = f"{name!r}: {problem.errors()[0]['msg']}"
-        raise ConfigurationError.of("--name", "name", flaw) from problem
-
-
 def _described(
     load: LoadName, directory: Path, dbc: Path | None, eds: Path | None, *, ask: bool | None
 ) -> str | None:
@@ -159,56 +150,44 @@ def _choose(
     *,
     ask: bool | None,
 ) -> dict[str, description.Candidate | None]:
-    chosen = {
-        quantity: _confirm(quantity, _proposed(quantity, one, known, ask=ask), known, ask=bool(ask))
-        for quantity, one in description.wanted_by(load).items()
-        if quantity not in without
-    }
+    """Return the signal of each quantity, None for none; refuse a doubt that nobody is asked."""
+    chosen: dict[str, description.Candidate | None] = {}
+    for quantity, wanted in description.wanted_by(load).items():
+        if quantity in without:
+            continue
+        proposed = description.propose(wanted, known)
+        if ask is None and description.is_doubtful(wanted, proposed):
+            first, second = (one.reference for one in proposed[:2])
+            flaw = f"{first} or {second}? leave out --yes, and choose"
+            raise ConfigurationError.of("init", quantity, flaw)
+        chosen[quantity] = next(iter(proposed), None)
+        if ask:
+            chosen[quantity] = _asked(quantity, proposed[:_SHOWN], known)
     left_out = ", ".join(quantity for quantity, one in chosen.items() if one is None)
     if left_out and not ask:
         print(f"left out, as no signal of the file means it: {left_out}")
     return chosen
 
 
-def _proposed(
-    quantity: str,
-    wanted: description.Wanted,
-    known: list[description.Candidate],
-    *,
-    ask: bool | None,
-) -> tuple[description.Candidate, ...]:
-    """Return the proposals of a quantity, the likeliest first; refuse a doubt nobody is asked."""
-    proposed = description.propose(wanted, known)
-    if ask is None and description.is_doubtful(wanted, proposed):
-        first, second = (one.reference for one in proposed[:2])
-        flaw = f"{first} or {second}? leave out --yes, and choose"
-        raise ConfigurationError.of("init", quantity, flaw)
-    return proposed
-
-
-def _confirm(
+def _asked(
     quantity: str,
     proposed: tuple[description.Candidate, ...],
     known: list[description.Candidate],
-    *,
-    ask: bool,
 ) -> description.Candidate | None:
-    if not ask:
-        return proposed[0] if proposed else None
-    choices = {str(number): one for number, one in enumerate(proposed[:_SHOWN], start=1)}
-    choices |= {one.reference: one for one in known}
+    """Return what the user chooses for a quantity, None for none."""
+    choices: dict[str, description.Candidate | None] = {one.reference: one for one in known}
+    choices |= {"0": None}
     print(f"\n{quantity}:")
-    for number in range(1, 1 + len(proposed[:_SHOWN])):
-        one = choices[str(number)]
+    for number, one in enumerate(proposed, start=1):
+        choices[str(number)] = one
         words = "" if one.reference.endswith(one.words.split()[-1]) else one.words
         print("  ".join(filter(None, (f"  {number}", one.reference, words, one.unit, one.range))))
     usual = "1" if proposed else "0"
     while True:
-        answer = _answer(f"a number, a signal by its name, or 0 for none [{usual}]: ", quantity)
-        if (answer or usual) == "0":
-            return None
-        if (answer or usual) in choices:
-            return choices[answer or usual]
+        question = f"a number, a signal by its name, or 0 for none [{usual}]: "
+        answer = _answer(question, quantity) or usual
+        if answer in choices:
+            return choices[answer]
 
 
 def _values(text: str) -> dict[str, str]:
@@ -277,7 +256,12 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
         0 when it can be used; otherwise `ConfigurationError` lists what is wrong.
     """
     if as_json:
-        return _check_for_programs(config)
+        try:
+            report = sound_report(load_examined(config), config)
+        except ConfigurationError as flawed:
+            report = flawed_report(flawed)
+        print_json(report)
+        return 0 if report["valid"] else UNUSABLE
     from adaptdrive.devices.can.bus import missing_here  # noqa: PLC0415 - `schema` needs no bus
 
     text = read_text(config)
@@ -309,15 +293,6 @@ def _advise(config: Path, text: str) -> None:
         with suppress(ConfigurationError):  # of a DBC, EDS or register map: refused later
             for one in advice(configuration):
                 _warn(config, one)
-
-
-def _check_for_programs(config: Path) -> int:
-    try:
-        report = sound_report(load_examined(config), config)
-    except ConfigurationError as problem:
-        report = flawed_report(problem)
-    print_json(report)
-    return 0 if report["valid"] else UNUSABLE
 
 
 def schema() -> int:

@@ -15,7 +15,7 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from http import HTTPStatus
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -258,6 +258,11 @@ class PanelHandler(SimpleHTTPRequestHandler):
         self._sessions = sessions
         super().__init__(*connection, directory=str(FOLDER))
 
+    def handle(self) -> None:
+        """Answer until the connection ends; a browser that is gone is no error."""
+        with suppress(ConnectionError):
+            super().handle()
+
     def do_GET(self) -> None:
         """Send a file of the panel or of a session, or the report of a drive's last session."""
         asked = urlsplit(self.path)
@@ -310,16 +315,7 @@ class PanelHandler(SimpleHTTPRequestHandler):
         """Write nothing."""
 
 
-class PanelServer(ThreadingHTTPServer):
-    """Serves each request in a thread; a browser that goes away is no error."""
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Print the traceback of an error, unless the connection was lost."""
-        if not isinstance(sys.exception(), ConnectionError):
-            super().handle_error(request, client_address)  # type: ignore[arg-type]
-
-
-def panel_server(port: int, sessions: Path) -> PanelServer:
+def panel_server(port: int, sessions: Path) -> ThreadingHTTPServer:
     """Return a server of the panel on the loopback interface.
 
     Args:
@@ -331,7 +327,7 @@ def panel_server(port: int, sessions: Path) -> PanelServer:
     """
     handler = functools.partial(PanelHandler, sessions=sessions)
     try:
-        return PanelServer(("127.0.0.1", port), handler)
+        return ThreadingHTTPServer(("127.0.0.1", port), handler)
     except OSError as problem:
         raise AdaptdriveError(f"port {port}: {problem}; choose another --port") from problem
 

@@ -45,22 +45,19 @@ def site_table(site: Mapping[str, DriveStatus]) -> str:
     ordered = sorted(site, key=lambda name: (not (site[name].state or {}).get("trip"), name))
     rows = [heads, *(_site_row(name, site[name]) for name in ordered)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
-    lines = [_columns(row, widths) for row in rows]
+    cells = (
+        [commands.printable(text).ljust(n) for text, n in zip(row, widths, strict=True)]
+        for row in rows
+    )
+    lines = ["  ".join(row).rstrip() for row in cells]
     lines += [f"{name} is {_SILENT}" for name in ordered if site[name].silent]
-    advice = ((name, _advice(site[name].state or {})) for name in ordered)
-    lines += [f"{name}: what to do: {commands.printable(text)}" for name, text in advice if text]
+    for name in ordered:
+        state = site[name].state or {}
+        remedy = commands.part(state, "last_trip").get("remedy")
+        if remedy and state.get("trip"):
+            advice = commands.printable(with_kind(str(remedy), state.get("trip_kind")))
+            lines.append(f"{name}: what to do: {advice}")
     return "\n".join(lines)
-
-
-def _advice(state: dict[str, Any]) -> str:
-    """Return the remedy of the trip in force with its kind, empty where there is none."""
-    remedy = commands.part(state, "last_trip").get("remedy")
-    return with_kind(str(remedy), state.get("trip_kind")) if remedy and state.get("trip") else ""
-
-
-def _columns(row: tuple[str, ...], widths: list[int]) -> str:
-    cells = zip(row, widths, strict=True)
-    return "  ".join(commands.printable(text).ljust(width) for text, width in cells).rstrip()
 
 
 def _unit(state: dict[str, Any]) -> str:

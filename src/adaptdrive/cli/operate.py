@@ -80,11 +80,7 @@ def pole(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int
 
 
 def mode(
-    drive: DriveName,
-    value: Literal["fixed", "adaptive", "manual"],
-    /,
-    *,
-    contact: Contact = _HERE,
+    drive: DriveName, value: Literal["fixed", "adaptive", "manual"], /, *, contact: Contact = _HERE
 ) -> int:
     """Choose the fixed or the adaptive controller, or manual.
 
@@ -107,12 +103,7 @@ def manual(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
 
 
 def voltage(
-    drive: DriveName,
-    value: Number,
-    /,
-    *,
-    hold: Number | None = None,
-    contact: Contact = _HERE,
+    drive: DriveName, value: Number, /, *, hold: Number | None = None, contact: Contact = _HERE
 ) -> int:
     """Set V_c in mode manual.
 
@@ -155,13 +146,7 @@ def reset(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     return _ask(drive, "reset", None, contact)
 
 
-def reload(
-    drive: DriveName,
-    /,
-    *,
-    measured: Path | None = None,
-    contact: Contact = _HERE,
-) -> int:
+def reload(drive: DriveName, /, *, measured: Path | None = None, contact: Contact = _HERE) -> int:
     """Take the load and the limits of the file, between two runs.
 
     Args:

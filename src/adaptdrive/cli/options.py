@@ -245,7 +245,7 @@ def _check_address(_: object, text: str | None) -> None:
         read_address(text)
 
 
-_check_drive = refusing(
+check_drive = refusing(
     lambda name: _DRIVE.fullmatch(name) is not None,
     "The name of a drive has 1 to 64 letters, digits, '-' and '_', no '-' first.",
 )
@@ -267,7 +267,7 @@ def _check_authority(_: object, contact: Contact | None) -> None:
         )
 
 
-DriveName = Annotated[str, Parameter(validator=_check_drive)]
+DriveName = Annotated[str, Parameter(validator=check_drive)]
 
 
 @Parameter(name="*", validator=_check_authority)

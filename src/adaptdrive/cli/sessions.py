@@ -18,7 +18,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.recording import log_files, overview, reader, retention, segments
 from adaptdrive.recording import replay as replaying
 from adaptdrive.recording import session as folders
-from adaptdrive.recording.records import EventRow, Keep, Kind
+from adaptdrive.recording.records import Keep, Kind
 from adaptdrive.runtime.reports import EVENT_KINDS
 from adaptdrive.safety.trips import kind_of, remedy
 from adaptdrive.util.errors import ConfigurationError, Flaw, RecordingError, escaped, nearest
@@ -145,7 +145,10 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
             verdicts[escaped(name)] = {"whole": verdict.whole, **asdict(verdict)}
             continue
         rows = ", ".join(f"{count} {table}" for table, count in verdict.rows.items()) or "nothing"
-        print(f"{name}: {rows}; {_condition(verdict)}")
+        condition = "whole" if verdict.whole else "damaged"
+        if verdict.missing_ticks:
+            condition = f"{verdict.missing_ticks} ticks are missing"
+        print(f"{name}: {rows}; {condition}")
         for problem in verdict.problems:
             print(f"adaptdrive: {name}: {problem}", file=sys.stderr)
     if as_json:
@@ -199,18 +202,15 @@ def events(
     if as_json:
         print_json(found)
         return 0
-    for one in found if kind else _shown(found):
+    counts = [] if kind else [one for one in found if one.kind == "latency"]
+    for one in found:
+        if one in counts[:-1]:  # there is one in each minute: the last says it all
+            continue
         detail = with_kind(one.detail, one.trip_kind)
         print(f"{one.time.isoformat()}  {one.severity:<8} {one.kind:<12} {detail}")
         if steps := remedy(kind_of(one.trip_kind)):
             print(f"{'':<34}{'':<8} {'remedy':<12} {steps}")
     return 0
-
-
-def _shown(events: list[EventRow]) -> list[EventRow]:
-    """Return the events with the last count of late ticks alone: there is one in each minute."""
-    counts = [one for one in events if one.kind == "latency"]
-    return [one for one in events if one not in counts[:-1]]
 
 
 def _left(path: Path) -> list[log_files.LogFile]:
@@ -221,12 +221,6 @@ def _left(path: Path) -> list[log_files.LogFile]:
         return [] if log_files.in_progress(path, info) else found
     except RecordingError:
         return []  # it is verified all the same
-
-
-def _condition(verdict: reader.Verification) -> str:
-    if verdict.missing_ticks:
-        return f"{verdict.missing_ticks} ticks are missing"
-    return "whole" if verdict.whole else "damaged"
 
 
 def _facts(path: Path, info: folders.SessionInfo) -> dict[str, Any]:

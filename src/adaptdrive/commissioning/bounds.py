@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from adaptdrive.commissioning.course import ExperimentCourse, Steps, Target
+from adaptdrive.commissioning.course import ExperimentCourse, Steps
 from adaptdrive.identification.excerpt import Array
 from adaptdrive.util.errors import CommissionError
 
@@ -140,43 +140,84 @@ _LARGEST_GAIN = 4.0
 _FLOOR = 0.01
 """Least standard deviation of a sample, as a share of the movement: the grid fits no better."""
 
+_EDGE = 1.25
+"""Predicted movement, in movements, at which V_c is taken back."""
+
+_RAISED = 1.1
+"""Predicted movement to which a step may lead."""
+
+SLOWEST_SLEW_V_PER_S = 50.0
+_TRIES = (1.0, 0.8, 0.65, 0.5)
+
 
 class CredibleLoads:
-    """The loads on a grid, fitted to what the experiment has shown."""
+    """The loads on a grid, fitted to what an experiment has shown since its rest."""
 
-    def __init__(self, target: Target, samples: int, deviation: float) -> None:
-        """Make the grid, and take samples at rest, whose mean is y = 0.
-
-        Args:
-            target: Limits of the experiment, from which those of the grid follow.
-            samples: Samples at rest.
-            deviation: Standard deviation of one.
-        """
-        shortest_s, longest_s = _LOOK_SHARE * target.patience_s, _LONGEST * target.patience_s
-        count = math.ceil(math.log(longest_s / shortest_s) / math.log(_RATIO)) + 1
-        taus_s = np.geomspace(shortest_s, longest_s, count)
+    def __init__(self, course: ExperimentCourse, base_V: float) -> None:
+        """Make the grid, and take the samples at rest under a V_c, whose mean is y = 0."""
+        target = course.target
+        self._course, self._base_V, self._rest = course, base_V, course.rest
+        self._highest, self._taken = 0.0, len(course.record.times_s)
+        self._look_s = _LOOK_SHARE * target.patience_s
+        longest_s = _LONGEST * target.patience_s
+        count = math.ceil(math.log(longest_s / self._look_s) / math.log(_RATIO)) + 1
+        taus_s = np.geomspace(self._look_s, longest_s, count)
         slow, fast = np.tril_indices(count)
         self._slow_s = np.where(slow == fast, _DISTINCT, 1.0) * taus_s[slow]
         self._fast_s = taus_s[fast]
         self._ratio = self._slow_s / (self._slow_s - self._fast_s)
         self._gain_max = _LARGEST_GAIN * target.first_gain
         self._least_variance = (_FLOOR * target.move) ** 2
-        self._first = np.zeros(len(slow))
-        self._second = np.zeros(len(slow))
-        self._count, self._outputs = float(samples), 0.0
-        self._squares = samples * deviation * deviation
+        self._first, self._second = np.zeros(len(slow)), np.zeros(len(slow))
+        self._count, self._outputs = float(course.rest_samples), 0.0
+        self._squares = course.rest_samples * course.noise * course.noise
         self._sums = np.zeros((3, len(slow)))
         self._largest = np.full(len(slow), self._gain_max)
         self._decays = (0.0, self._first, self._second)
 
-    def take(self, duration_s: float, fed: float, outputs: Array) -> None:
-        """Take the samples of a short time.
+    @property
+    def gain(self) -> float:
+        """Largest credible K."""
+        return float(self._largest.max())
 
-        Args:
-            duration_s: Its length.
-            fed: The load's input above that at rest.
-            outputs: Output above that at rest, a value for each sample.
+    def heads_for_edge(self) -> bool:
+        """Take the last samples; return whether V_c must be taken back now.
+
+        A battery is not judged: its current jumps, and falls while it is charged.
         """
+        course, record = self._course, self._course.record
+        if course.target.battery is not None:
+            return False
+        first = self._taken
+        duration_s = round(course.time_s - record.times_s[first - 1], 3)
+        if duration_s < self._look_s:
+            return False
+        self._taken = len(record.times_s)
+        fed = float(np.mean([self._fed(one) for one in record.voltages_V[first:]]))
+        self._take(duration_s, fed, np.array(record.outputs[first:]) - self._rest)
+        self._highest = max(self._highest, fed)
+        edge = _EDGE * course.target.move
+        if self.gain * self._highest <= edge:
+            return False
+        now_V = record.voltages_V[-1]
+        reaction_s = self._look_s + 0.5 * abs(now_V - self._base_V) / SLOWEST_SLEW_V_PER_S
+        return self._movement(self._fed(now_V), reaction_s) > edge
+
+    def largest_step(self, step: float) -> float:
+        """Return the largest share of a step of the input that is safe for a shortest wait."""
+        target = self._course.target
+        for share in _TRIES:
+            if self._movement(share * step, target.patience_s) <= _RAISED * target.move:
+                return share * step
+        return 0.0
+
+    def _fed(self, voltage_V: float) -> float:
+        """Return the load's input above that at rest."""
+        target = self._course.target
+        return target.to_input(voltage_V) - target.to_input(self._base_V)
+
+    def _take(self, duration_s: float, fed: float, outputs: Array) -> None:
+        """Take the samples of a short time: its input, and a value for each sample, above rest."""
         self._first, self._second = self._after(duration_s, fed)
         count, total, response = len(outputs), float(outputs.sum()), self._second
         self._count += count
@@ -187,18 +228,8 @@ class CredibleLoads:
         self._sums[2] += total * response
         self._largest = self._fit()
 
-    @property
-    def gain(self) -> float:
-        """Largest credible K."""
-        return float(self._largest.max())
-
-    def movement(self, fed: float, duration_s: float) -> float:
-        """Return the largest credible movement if an input acts for a time, and then none.
-
-        Args:
-            fed: The input above that at rest.
-            duration_s: The time.
-        """
+    def _movement(self, fed: float, duration_s: float) -> float:
+        """Return the largest credible movement if an input acts for a time, and then none."""
         first, second = self._after(duration_s, fed)
         peak = np.maximum(second, self._peak(first, second))
         return float((self._largest * np.maximum(peak, self._second)).max())
@@ -241,74 +272,3 @@ class CredibleLoads:
         slack = least + _SIGMAS * _SIGMAS * variance - losses
         largest = gain + np.sqrt(np.maximum(slack, 0.0) / spread)
         return np.where(slack >= 0.0, np.minimum(largest, self._gain_max), 0.0)
-
-
-# Bounds of V_c: the movement that the credible loads predict, kept within the band.
-
-_EDGE = 1.25
-"""Predicted movement, in movements, at which V_c is taken back."""
-
-_RAISED = 1.1
-"""Predicted movement to which a step may lead."""
-
-_HORIZON = 1.0
-"""Time for which a step must be safe, in shortest waits."""
-
-SLOWEST_SLEW_V_PER_S = 50.0
-_TRIES = (1.0, 0.8, 0.65, 0.5)
-
-
-class Bounds:
-    """The credible loads of an experiment since its rest.
-
-    Attributes:
-        loads: The loads.
-    """
-
-    def __init__(self, course: ExperimentCourse, base_V: float) -> None:
-        """Begin where the load of the experiment has come to rest, at a V_c."""
-        target = course.target
-        self._course = course
-        self._base_V = base_V
-        self._base = target.to_input(base_V)
-        self._rest = course.rest
-        self._highest = 0.0
-        self._taken = len(course.record.times_s)
-        self._look_s = _LOOK_SHARE * target.patience_s
-        self.loads = CredibleLoads(target, course.rest_samples, course.noise)
-
-    def heads_for_edge(self) -> bool:
-        """Take the last samples; return whether V_c must be taken back now.
-
-        A battery is not judged: its current jumps, and falls while it is charged.
-        """
-        course, record = self._course, self._course.record
-        if course.target.battery is not None:
-            return False
-        first = self._taken
-        duration_s = round(course.time_s - record.times_s[first - 1], 3)
-        if duration_s < self._look_s:
-            return False
-        self._taken = len(record.times_s)
-        fed = float(np.mean([self._fed(one) for one in record.voltages_V[first:]]))
-        outputs = np.array(record.outputs[first:]) - self._rest
-        self.loads.take(duration_s, fed, outputs)
-        self._highest = max(self._highest, fed)
-        edge = _EDGE * course.target.move
-        if self.loads.gain * self._highest <= edge:
-            return False
-        now_V = record.voltages_V[-1]
-        reaction_s = self._look_s + 0.5 * abs(now_V - self._base_V) / SLOWEST_SLEW_V_PER_S
-        return self.loads.movement(self._fed(now_V), reaction_s) > edge
-
-    def largest_step(self, step: float) -> float:
-        """Return the largest share of a step of the input that is safe for a shortest wait."""
-        target = self._course.target
-        horizon_s = _HORIZON * target.patience_s
-        for share in _TRIES:
-            if self.loads.movement(share * step, horizon_s) <= _RAISED * target.move:
-                return share * step
-        return 0.0
-
-    def _fed(self, voltage_V: float) -> float:
-        return self._course.target.to_input(voltage_V) - self._base

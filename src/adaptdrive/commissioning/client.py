@@ -11,15 +11,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from adaptdrive.commissioning.course import Samples
-from adaptdrive.commissioning.experiment import LoadExperiment
-from adaptdrive.mqtt.client import (
-    DriveStatus,
-    NoAnswerError,
-    read_status,
-    send_command,
-    telemetry,
-)
+from adaptdrive.commissioning.course import ExperimentCourse, Samples
+from adaptdrive.mqtt.client import DriveStatus, NoAnswerError, read_status, send_command, telemetry
 from adaptdrive.mqtt.commands import number, part
 from adaptdrive.mqtt.connection import Broker
 from adaptdrive.mqtt.contract import Reply
@@ -203,7 +196,7 @@ class Guide:
         return samples
 
     async def carry_out(
-        self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
+        self, experiment: ExperimentCourse, show: Callable[[FastReading, float], None]
     ) -> None:
         """Enable the drive in mode manual and run an experiment; leave the drive off in any case.
 
@@ -220,7 +213,7 @@ class Guide:
             await self.ask("enable")
             await self._await_running(coasting=True)
             # a load at rest coasts until it is asked for a voltage
-            await self.ask("voltage", experiment.course.voltage_V, hold_s=HOLD_S)
+            await self.ask("voltage", experiment.voltage_V, hold_s=HOLD_S)
             await self._await_running(coasting=False)
             await self._follow(experiment, show)
         finally:
@@ -228,10 +221,10 @@ class Guide:
             await whole(leaving, complete=experiment.done)
 
     async def _follow(
-        self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
+        self, experiment: ExperimentCourse, show: Callable[[FastReading, float], None]
     ) -> None:
         """Run the experiment; the voltage is asked for meanwhile, so that no reading waits."""
-        self._wanted_V = experiment.course.voltage_V
+        self._wanted_V = experiment.voltage_V
         try:
             async with asyncio.TaskGroup() as group:
                 asking = group.create_task(self._keep_asking())
@@ -244,7 +237,7 @@ class Guide:
             raise first_error(known) from None
 
     async def _feed(
-        self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
+        self, experiment: ExperimentCourse, show: Callable[[FastReading, float], None]
     ) -> None:
         """Take readings until the experiment is complete."""
         async with aclosing(fast_readings(self._broker, self.drive)) as readings:

@@ -1,10 +1,12 @@
 """The course of an experiment: its limits, samples and phases, and the voltage it asks for."""
 
+from __future__ import annotations
+
 import bisect
 import itertools
 import math
 import statistics
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TypeVar
@@ -144,7 +146,7 @@ class Samples:
         """Return the number of samples after one time and until another."""
         return bisect.bisect(self.times_s, to_s) - bisect.bisect(self.times_s, from_s)
 
-    def mean(self, from_s: float, to_s: float) -> float:
+    def mean(self, from_s: float = -math.inf, to_s: float = math.inf) -> float:
         """Return the mean output between two times, NaN where there is no sample."""
         first, last = bisect.bisect(self.times_s, from_s), bisect.bisect(self.times_s, to_s)
         return (self.sums[last] - self.sums[first]) / (last - first) if last > first else math.nan
@@ -156,7 +158,7 @@ class Samples:
                 return self.times_s[number]
         return from_s
 
-    def noise(self, from_s: float, to_s: float) -> float:
+    def noise(self, from_s: float = -math.inf, to_s: float = math.inf) -> float:
         """Return the standard deviation of the noise of one sample, from the differences.
 
         A slow movement does not count, and neither do spikes in less than half of the samples.
@@ -178,10 +180,8 @@ class Samples:
 
     def coarseness(self) -> float:
         """Return the resolution where it is larger than the noise, else 0."""
-        if not self.outputs:
-            return 0.0
         resolution = self.resolution()
-        return resolution if resolution > self.noise(-math.inf, self.times_s[-1]) else 0.0
+        return resolution if resolution > self.noise() else 0.0
 
 
 # The course of an experiment: its phases and samples, its limits, and the voltage it asks for.
@@ -241,7 +241,7 @@ _LOOK_SHARE = 0.005
 
 
 class ExperimentCourse:
-    """State that the phases of an experiment share.
+    """An experiment that is fed with samples; its phases share this state.
 
     Attributes:
         target: Limits, and the movement that was asked for.
@@ -254,9 +254,16 @@ class ExperimentCourse:
         rest: Mean output over the last quarter of the wait after which the load came to rest; NaN
             until it has.
         rest_samples: Samples of that quarter.
+        outcome: The result, None before the end of the climb.
     """
 
-    def __init__(self, target: Target) -> None:
+    def __init__(self, target: Target, phases: Callable[[ExperimentCourse], Steps[None]]) -> None:
+        """Begin at the lowest V_c.
+
+        Args:
+            target: Limits, and the movement that was asked for.
+            phases: All phases one after the other, a step for each sample.
+        """
         self.target = target
         self.record = Samples()
         self.phase = Phase.REST
@@ -266,16 +273,22 @@ class ExperimentCourse:
         self.wait_s = target.patience_s
         self.rest = math.nan
         self.rest_samples = 0
+        self.outcome: Outcome | None = None
+        self._steps = phases(self)
         self._expected = (0.0, math.nan)
-        self._noise = 0.0
-        self._noise_known_s = -math.inf
+        self._noise, self._noise_known_s = 0.0, -math.inf
         self._looked_s = -math.inf
 
-    def append(self, time_s: float, boost_voltage_V: float, output: float) -> None:
-        """Add a sample.
+    def take(self, time_s: float, boost_voltage_V: float, output: float) -> float:
+        """Take a sample and return V_c.
+
+        Args:
+            time_s: Its time.
+            boost_voltage_V: Boost voltage.
+            output: Output.
 
         Raises:
-            CommissionError: It is not finite.
+            CommissionError: The experiment cannot continue; V_c must go to the safe state.
         """
         if not (math.isfinite(boost_voltage_V) and math.isfinite(output)):
             raise CommissionError(
@@ -283,6 +296,14 @@ class ExperimentCourse:
             )
         self.time_s = time_s
         self.record.append(time_s, boost_voltage_V, output)
+        if not self.done and next(self._steps, None) is None:
+            self.phase = Phase.DONE
+        return self.voltage_V
+
+    @property
+    def done(self) -> bool:
+        """True when the test is complete."""
+        return self.phase is Phase.DONE
 
     def expect(self, duration_s: float) -> None:
         """Take the length of the phase that begins now."""

@@ -15,10 +15,11 @@ from adaptdrive.analysis import figures, load_report
 from adaptdrive.analysis.closed_loop import simulate
 from adaptdrive.analysis.curves import Response, response_of
 from adaptdrive.analysis.excerpts import IdentifiedPlant
+from adaptdrive.app.examine import examine_text
 from adaptdrive.app.loads import build_load, candidate_loads
-from adaptdrive.commissioning.course import Outcome, Samples
-from adaptdrive.commissioning.experiment import LoadExperiment
-from adaptdrive.commissioning.proposal import Proposal, propose
+from adaptdrive.commissioning.course import ExperimentCourse, Outcome, Samples
+from adaptdrive.commissioning.proposal import Proposal, propose, with_values, write_values
+from adaptdrive.config.file import digest_of, parse_configuration, read_text
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.loads.load import Load, to_input
 from adaptdrive.control.signals import Mode, Order, Stage
@@ -57,7 +58,8 @@ def evaluate(record: Samples, outcome: Outcome, loads: Sequence[Load]) -> result
         IdentificationError: The samples do not determine the load.
     """
     excerpt = resampled(record, outcome.began_s)
-    block = _block(outcome, excerpt)
+    wanted = outcome.settling_s / _BLOCKS_TO_REST / excerpt.period_s
+    block = max(1, math.ceil(len(excerpt.output) / _MOST_BLOCKS), math.floor(wanted))
     if len(loads) > 1:
         found = identify_any([excerpt], loads, block=block)
     else:
@@ -102,63 +104,36 @@ def resampled(record: Samples, from_s: float) -> Excerpt:
     return Excerpt(voltages_V, outputs, period_s)
 
 
-def _block(outcome: Outcome, excerpt: Excerpt) -> int:
-    wanted = outcome.settling_s / _BLOCKS_TO_REST / excerpt.period_s
-    fewest = math.ceil(len(excerpt.output) / _MOST_BLOCKS)
-    return max(1, fewest, math.floor(wanted))
-
-
-# State of the output's sensor while the drive is off.
+# The output's sensor while the drive is off.
 
 _NOISE_SHARE = 1.0
 """Noise of one sample over the movement, above which the movement is hidden."""
 
 
-@dataclass(frozen=True, slots=True)
-class SensorState:
-    """A sensor at rest.
-
-    Attributes:
-        mean: Mean output.
-        noise: Standard deviation of one sample.
-        resolution: Smallest difference of two samples; 0 where all were the same.
-    """
-
-    mean: float
-    noise: float
-    resolution: float
-
-
-def judge_sensor(samples: Samples, configuration: Configuration, move: float) -> SensorState:
-    """Return the state of the sensor.
+def refuse_blind(standby: Samples, configuration: Configuration, move: float) -> None:
+    """Refuse a sensor by which an experiment would not see the load.
 
     Args:
-        samples: Samples while the drive was off.
+        standby: Samples while the drive was off.
         configuration: Limits of the output.
         move: Movement that the experiment aims at.
 
     Raises:
-        CommissionError: The experiment would not see the load.
+        CommissionError: Its output, noise or resolution is too large.
     """
-    first, last = samples.times_s[0] - 1.0, samples.times_s[-1]
-    state = SensorState(
-        mean=samples.mean(first, last),
-        noise=samples.noise(first, last),
-        resolution=samples.resolution(),
-    )
+    mean, noise, resolution = standby.mean(), standby.noise(), standby.resolution()
     section = configuration.load
-    about = f"{section.output_name} = {state.mean:.4g} {section.output_unit}"
-    if state.mean > section.reference_max:
+    if mean > section.reference_max:
         raise CommissionError(
-            f"{about} while the drive is off is above load.reference_max = "
-            f"{section.reference_max:g} {section.output_unit}: compare its scale and offset"
+            f"{section.output_name} = {mean:.4g} {section.output_unit} while the drive is off is "
+            f"above load.reference_max = {section.reference_max:g} {section.output_unit}: compare "
+            "its scale and offset"
         )
-    if max(state.noise, state.resolution) > _NOISE_SHARE * move:
+    if max(noise, resolution) > _NOISE_SHARE * move:
         raise CommissionError(
-            f"noise {state.noise:.3g} and resolution {state.resolution:.3g} of the sensor hide a "
+            f"noise {noise:.3g} and resolution {resolution:.3g} of the sensor hide a "
             f"movement of {move:.3g} {section.output_unit}: ask for a larger one with --move"
         )
-    return state
 
 
 # Predicted response of the proposed loop: the daemon's controller on the identified load.
@@ -236,7 +211,7 @@ class Commissioned:
     """All results of an experiment.
 
     Attributes:
-        sensor: The sensor at rest.
+        standby: Samples of the sensor while the drive was off.
         outcome: Levels and movement of the test.
         load: The identified load.
         proposal: Proposed settings.
@@ -245,13 +220,19 @@ class Commissioned:
         refusal: Why the settings are not to be put to use, empty where they are.
     """
 
-    sensor: SensorState
+    standby: Samples
     outcome: Outcome
     load: result.IdentifiedLoad
     proposal: Proposal
     prediction: Response
     before: Configuration
     refusal: str = ""
+
+    @property
+    def reached(self) -> float:
+        """An output to hold next: one that the experiment has led the load to."""
+        load, reached = self.before.load, float(f"{self.outcome.rest + self.outcome.moved:.4g}")
+        return min(max(reached, load.reference_min), load.reference_max)
 
 
 def as_text(found: Commissioned) -> str:
@@ -260,10 +241,10 @@ def as_text(found: Commissioned) -> str:
 
 
 def _checks(found: Commissioned) -> Iterator[str]:
-    sensor, outcome, load = found.sensor, found.outcome, found.load
+    standby, outcome, load = found.standby, found.outcome, found.load
     unit, given = found.before.load.output_unit, found.before.drive.given
-    noise, resolution = f"noise {sensor.noise:.3g} {unit}", f"{sensor.resolution:.3g} {unit}"
-    yield f"sensor          {noise}, resolution {resolution}"
+    noise, resolution = f"{standby.noise():.3g} {unit}", f"{standby.resolution():.3g} {unit}"
+    yield f"sensor          noise {noise}, resolution {resolution}"
     yield (
         f"test            {given.symbol} {outcome.low_V:.4g}…{given.text(outcome.high_V)} from "
         f"{outcome.rest:.4g} {unit}, time to rest {outcome.settling_s:.3g} s"
@@ -316,16 +297,12 @@ def draw(found: Commissioned) -> bytes:
 
 
 def judged(
-    sensor: SensorState,
-    experiment: LoadExperiment,
-    present: Configuration,
-    text: str,
-    path: Path,
+    standby: Samples, experiment: ExperimentCourse, present: Configuration, text: str, path: Path
 ) -> Commissioned:
     """Return all results of an experiment.
 
     Args:
-        sensor: The sensor at rest.
+        standby: Samples of the sensor while the drive was off.
         experiment: One that is complete.
         present: The configuration with which it was done.
         text: The same as text.
@@ -334,10 +311,9 @@ def judged(
     Raises:
         AdaptdriveError: The samples do not determine the load, or no settings suit it.
     """
-    outcome = experiment.outcome
+    outcome, target, record = experiment.outcome, experiment.target, experiment.record
     if outcome is None:
         raise CommissionError("the experiment is not complete")
-    target, record = experiment.course.target, experiment.course.record
     identified = evaluate(record, outcome, candidate_loads(present))
     proposal = propose(identified, text, path, record.coarseness())
     rest_V = target.middle_V(outcome.low_V, outcome.high_V)
@@ -345,4 +321,24 @@ def judged(
         predict(identified, one, rest_V, target.move) for one in (proposal.configuration, present)
     )
     refusal = refusal_of(proposed, now)
-    return Commissioned(sensor, outcome, identified, proposal, proposed, present, refusal)
+    return Commissioned(standby, outcome, identified, proposal, proposed, present, refusal)
+
+
+def write(path: Path, found: Commissioned) -> tuple[Path, str]:
+    """Write the proposed settings to the configuration.
+
+    Returns:
+        A copy of the file before, and the digest of what was written.
+
+    Raises:
+        CommissionError: The predicted response is no good.
+        ConfigurationError: The file was changed and is not valid with the settings, or cannot be
+            written.
+    """
+    if found.refusal:
+        raise CommissionError(f"{path} stays as it is: {found.refusal}")
+    text = read_text(path)
+    parse_configuration(text, path)
+    proposed = with_values(path, text, found.proposal.values)
+    examine_text(proposed, path)
+    return write_values(path, proposed), digest_of(proposed)

@@ -12,7 +12,7 @@ A load without overshoot stays within that movement. Time is that of the samples
 
 import math
 
-from adaptdrive.commissioning.bounds import SLOWEST_SLEW_V_PER_S, Bounds, find_onset, until_rest
+from adaptdrive.commissioning import bounds
 from adaptdrive.commissioning.course import ExperimentCourse, Outcome, Phase, Steps, Target
 from adaptdrive.util.errors import CommissionError
 
@@ -44,72 +44,58 @@ _TAPS = (5, 3)
 _LENGTH = 2 ** _TAPS[0] - 1
 
 
-class Switching:
-    """V_c between rest and a level, in pseudo-random sequences."""
+def switch(course: ExperimentCourse, outcome: Outcome, loads: bounds.CredibleLoads) -> Steps[None]:
+    """Switch V_c between rest and a level, in pseudo-random sequences.
 
-    def __init__(self, course: ExperimentCourse, outcome: Outcome, bounds: Bounds) -> None:
-        self._course = course
-        self._outcome = outcome
-        self._bounds = bounds
-        self._high_V = outcome.high_V
+    Args:
+        course: The experiment, whose output stays within its band.
+        outcome: The two levels; the upper one is lowered where it leads to the edge of the band.
+        loads: What the samples leave credible.
 
-    def run(self) -> Steps[None]:
-        """Switch between the two levels; the output stays within its band."""
-        course, settling_s = self._course, self._outcome.settling_s
-        slow_s, fast_s = (settling_s / clocks for clocks in _CLOCKS)
-        sequence = [(level, clock_s) for clock_s in (slow_s, fast_s) for level in _sequence()]
-        duration_s = _LENGTH * (slow_s + fast_s)
-        repeats = max(_REPEATS, math.ceil(self._sufficient_s() / duration_s))
-        course.expect(repeats * duration_s + 2.0 * _LONG * settling_s)
-        for _ in range(repeats):
-            for level, clock_s in sequence:
-                yield from self._hold(clock_s, level=level)
-        for level in (True, False):
-            yield from self._hold(_LONG * settling_s, level=level)
-
-    def _hold(self, duration_s: float, *, level: bool) -> Steps[None]:
-        """Hold a level of the test, the upper or the lower one, for a time."""
-        course, low_V = self._course, self._outcome.low_V
-        course.voltage_V = self._high_V if level else low_V
-        until_s = course.time_s + duration_s
+    Raises:
+        CommissionError: The output leaves its band.
+    """
+    target, settling_s, high_V = course.target, outcome.settling_s, outcome.high_V
+    clocks_s = [settling_s / clocks for clocks in _CLOCKS]
+    sequence = [(level, clock_s) for clock_s in clocks_s for level in _sequence()]
+    duration_s = _LENGTH * sum(clocks_s)
+    repeats = max(_REPEATS, math.ceil(_sufficient_s(course, outcome) / duration_s))
+    course.expect(repeats * duration_s + 2.0 * _LONG * settling_s)
+    ends = [(level, _LONG * settling_s) for level in (True, False)]
+    for level, length_s in (*(repeats * sequence), *ends):
+        course.voltage_V = high_V if level else outcome.low_V
+        until_s = course.time_s + length_s
         while course.time_s < until_s:
             yield True
             if not course.look_is_due():
                 continue
-            self._look_at_band()
-            if self._bounds.heads_for_edge():
-                self._back_off()
+            _look_at_band(course, outcome.rest)
+            if loads.heads_for_edge() and course.voltage_V != outcome.low_V:
+                step = target.to_input(high_V) - target.to_input(outcome.low_V)
+                high_V = target.raised_V(outcome.low_V, _LOWERED * step)
+                course.voltage_V = outcome.low_V
 
-    def _back_off(self) -> None:
-        """Take V_c back until the next level, which is lower from now on."""
-        course, target, low_V = self._course, self._course.target, self._outcome.low_V
-        if course.voltage_V != low_V:
-            step = target.to_input(course.voltage_V) - target.to_input(low_V)
-            self._high_V = target.raised_V(low_V, _LOWERED * step)
-            course.voltage_V = low_V
 
-    def _look_at_band(self) -> None:
-        course, target, rest = self._course, self._course.target, self._outcome.rest
-        noise = course.margin(0.0)
-        fall = _BAND * target.move + noise
-        if target.battery is not None:
-            fall = min(_DRIFTING_BAND * target.move + noise, _DRIFTING_LEAST * target.move)
-        low = rest - fall
-        high = rest + (1.0 + _BAND) * target.move + noise
-        output = course.recent(course.smooth_s)
-        if not low <= output <= high:
-            raise CommissionError(
-                f"{target.name} = {output:.4g} {target.unit} left the band "
-                f"{low:.4g}…{high:.4g} {target.unit} of the test: the load has changed"
-            )
+def _look_at_band(course: ExperimentCourse, rest: float) -> None:
+    target, noise = course.target, course.margin(0.0)
+    fall = _BAND * target.move + noise
+    if target.battery is not None:
+        fall = min(_DRIFTING_BAND * target.move + noise, _DRIFTING_LEAST * target.move)
+    low, high = rest - fall, rest + (1.0 + _BAND) * target.move + noise
+    output = course.recent(course.smooth_s)
+    if not low <= output <= high:
+        raise CommissionError(
+            f"{target.name} = {output:.4g} {target.unit} left the band "
+            f"{low:.4g}…{high:.4g} {target.unit} of the test: the load has changed"
+        )
 
-    def _sufficient_s(self) -> float:
-        """Return the time in which the noise lets the gain be known to `_ACCURACY`."""
-        course, outcome = self._course, self._outcome
-        passed_s = course.time_s - outcome.began_s
-        count = course.record.count(outcome.began_s, course.time_s)
-        deviation = outcome.noise / (0.5 * _ACCURACY * course.target.move)
-        return 2.0 * deviation * deviation * passed_s / max(1, count)
+
+def _sufficient_s(course: ExperimentCourse, outcome: Outcome) -> float:
+    """Return the time in which the noise lets the gain be known to `_ACCURACY`."""
+    passed_s = course.time_s - outcome.began_s
+    count = course.record.count(outcome.began_s, course.time_s)
+    deviation = outcome.noise / (0.5 * _ACCURACY * course.target.move)
+    return 2.0 * deviation * deviation * passed_s / max(1, count)
 
 
 def _sequence() -> list[bool]:
@@ -170,7 +156,7 @@ class Climb:
 
     def __init__(self, course: ExperimentCourse, base_V: float) -> None:
         """Begin where the load of the experiment has come to rest, at a V_c."""
-        self.bounds = Bounds(course, base_V)
+        self.loads = bounds.CredibleLoads(course, base_V)
         self._course = course
         self._base_V = base_V
         self._before = course.rest
@@ -200,7 +186,7 @@ class Climb:
             growth = _SLOW_GROWTH if self._retreats else _GROWTH
             larger = growth * step  # as far as the credible loads allow; a battery's current jumps
             if target.battery is None:
-                larger = self.bounds.largest_step(larger)
+                larger = self.loads.largest_step(larger)
             step = max(step, larger)
         raise CommissionError(
             f"{_LONGEST_CLIMB} steps of {target.given.symbol} did not show one that moves "
@@ -213,7 +199,7 @@ class Climb:
         course, target, base_V, rest = self._course, self._course.target, self._base_V, self._before
         gain = moved / (target.to_input(raised_V) - target.to_input(base_V))
         if target.battery is None:
-            gain = min(max(gain, self.bounds.loads.gain), gain / _LEAST_LEVEL)
+            gain = min(max(gain, self.loads.gain), gain / _LEAST_LEVEL)
         high_V = target.raised_V(base_V, target.move / gain)
         course.look_at_terminals(high_V, rest + target.move)
         began_s, settling_s = self._began_s, self._time_to_rest()
@@ -234,10 +220,10 @@ class Climb:
         began_s = course.time_s
         if voltage_V != before_V:
             course.voltage_V, self._raised_s = voltage_V, began_s
-        for _ in until_rest(course):
+        for _ in bounds.until_rest(course):
             moved = course.recent(course.smooth_s) - self._before
             # too far, or would be although V_c went back now
-            if self.bounds.heads_for_edge() or moved > _TOO_FAR * target.move:
+            if self.loads.heads_for_edge() or moved > _TOO_FAR * target.move:
                 course.phase = Phase.BACK
                 return moved
             if moved < -course.margin(_FALL):
@@ -249,7 +235,7 @@ class Climb:
         moved = self._course.rest - self._before
         if target.battery is None:
             return moved
-        slewed_s = began_s + abs(voltage_V - before_V) / SLOWEST_SLEW_V_PER_S
+        slewed_s = began_s + abs(voltage_V - before_V) / bounds.SLOWEST_SLEW_V_PER_S
         nearly_V = before_V + _ARRIVED * (voltage_V - before_V)
         ready_s = max(slewed_s, course.record.reached_s(nearly_V, began_s))
         jump = course.record.mean(ready_s, ready_s + 5.0 * course.smooth_s)
@@ -262,9 +248,9 @@ class Climb:
         course.voltage_V, self._raised_s = self._base_V, course.time_s
         peak = course.recent(course.smooth_s) - self._before
         for _ in range(_LONGEST_RETURN):
-            for _ in until_rest(course):
+            for _ in bounds.until_rest(course):
                 peak = max(peak, course.recent(course.smooth_s) - self._before)
-                self.bounds.heads_for_edge()
+                self.loads.heads_for_edge()
                 yield True
             if abs(self._course.rest - self._before) <= course.margin(_BACK):
                 break
@@ -272,7 +258,7 @@ class Climb:
         least, largest = _AFTER_RETREAT
         share = largest * target.move / max(peak, 1e-9 * target.move)
         if target.battery is None:
-            share = largest * target.move / (self.bounds.loads.gain * step)
+            share = largest * target.move / (self.loads.gain * step)
         return step * min(max(least, share), largest)
 
     def _no_response(self, moved: float, raised_V: float) -> CommissionError:
@@ -309,48 +295,19 @@ class Climb:
 # The experiment on an unknown load: from samples to the next V_c, without a model.
 
 
-class LoadExperiment:
-    """An experiment that is fed with samples and returns V_c.
+def load_experiment(target: Target) -> ExperimentCourse:
+    """Return an experiment that has taken no sample yet."""
+    return ExperimentCourse(target, _phases)
 
-    Attributes:
-        outcome: The result, None before the end of the climb.
-        course: Its samples, limits and phase, and the V_c that is asked for.
-    """
 
-    def __init__(self, target: Target) -> None:
-        self.outcome: Outcome | None = None
-        self.course = ExperimentCourse(target)
-        self._steps = self._run()
-
-    def take(self, time_s: float, boost_voltage_V: float, output: float) -> float:
-        """Take a sample and return V_c.
-
-        Args:
-            time_s: Its time.
-            boost_voltage_V: Boost voltage.
-            output: Output.
-
-        Raises:
-            CommissionError: The experiment cannot continue; V_c must go to the safe state.
-        """
-        self.course.append(time_s, boost_voltage_V, output)
-        if not self.done and next(self._steps, None) is None:
-            self.course.phase = Phase.DONE
-        return self.course.voltage_V
-
-    @property
-    def done(self) -> bool:
-        """True when the test is complete."""
-        return self.course.phase is Phase.DONE
-
-    def _run(self) -> Steps[None]:
-        """Run all phases, one step for each sample."""
-        course, base_V = self.course, self.course.target.low_V
-        if course.target.battery is not None:
-            course.phase = Phase.ONSET
-            base_V = yield from find_onset(course)
-        yield from until_rest(course)
-        climb = Climb(course, base_V)
-        self.outcome = yield from climb.run()
-        course.phase = Phase.TEST
-        yield from Switching(course, self.outcome, climb.bounds).run()
+def _phases(course: ExperimentCourse) -> Steps[None]:
+    """Run all phases, one step for each sample."""
+    base_V = course.target.low_V
+    if course.target.battery is not None:
+        course.phase = Phase.ONSET
+        base_V = yield from bounds.find_onset(course)
+    yield from bounds.until_rest(course)
+    climb = Climb(course, base_V)
+    course.outcome = yield from climb.run()
+    course.phase = Phase.TEST
+    yield from switch(course, course.outcome, climb.loads)

@@ -292,14 +292,11 @@ def write_values(path: Path, text: str) -> Path:
     Raises:
         ConfigurationError: The file or its copy cannot be written, or its owner cannot be kept.
     """
-    try:
-        file = path.resolve(strict=True)
+    with _writable(path) as file:
         backup = _free_backup(file)
         for place, content in ((backup, file.read_bytes()), (file, text.encode("utf-8"))):
             with _written(content, like=file) as new:
                 new.replace(place)
-    except OSError as problem:
-        raise _unwritable(path, problem) from problem
     return backup
 
 
@@ -316,16 +313,18 @@ def refuse_unwritable(path: Path) -> None:
         ConfigurationError: It cannot.
     """
     with_values(path, read_text(path), {})
+    with _writable(path) as file, _written(file.read_bytes(), like=file):
+        pass
+
+
+@contextmanager
+def _writable(path: Path) -> Iterator[Path]:
+    """Name the file that is really written, and the configuration where that cannot be."""
     try:
-        file = path.resolve(strict=True)
-        with _written(file.read_bytes(), like=file):
-            pass
+        yield path.resolve(strict=True)
     except OSError as problem:
-        raise _unwritable(path, problem) from problem
-
-
-def _unwritable(path: Path, problem: OSError) -> ConfigurationError:
-    return ConfigurationError(path, [Flaw("file", f"cannot be written: {problem}")])
+        flaw = Flaw("file", f"cannot be written: {problem}")
+        raise ConfigurationError(path, [flaw]) from problem
 
 
 @contextmanager

@@ -1,25 +1,35 @@
 """Commissioning of a drive, or of a plant of the user, from the first look to the new settings."""
 
 import asyncio
+import functools
+import math
 import os
+import sys
 import time
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import NoReturn
+
+from rich.layout import Layout
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
 
 from adaptdrive.analysis.closed_loop import Plant, PlantLoop
 from adaptdrive.app.examine import examine_text
-from adaptdrive.app.process import LockedError, locked
-from adaptdrive.commissioning import client, evaluation, picture, proposal
-from adaptdrive.commissioning.course import Samples, Target, build_target
-from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.app.process import locked
+from adaptdrive.commissioning import client, evaluation
+from adaptdrive.commissioning.course import ExperimentCourse, Phase, Samples, Target, build_target
+from adaptdrive.commissioning.experiment import load_experiment
 from adaptdrive.config import root
-from adaptdrive.config.file import digest_of, parse_configuration, read_text
+from adaptdrive.config.file import read_text
 from adaptdrive.control.signals import Command
 from adaptdrive.mqtt.client import LIVE_S, NoAnswerError
 from adaptdrive.mqtt.connection import Broker
 from adaptdrive.safety.timing import timing_of
-from adaptdrive.tui.terminal import ended_once, print_line, whole
+from adaptdrive.tui import terminal, view
+from adaptdrive.tui.record import PlotPoint, WatchRecord
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
 
 # A measured load put to use: the running daemon takes the file, and adaptive control begins.
@@ -46,7 +56,7 @@ async def put_to_use(guide: client.Guide, digest: str, setpoint: float) -> float
     """
     began_s = time.monotonic()
     await guide.ask("reload", measured=digest)
-    with ended_once():
+    with terminal.ended_once():
         try:
             # the mode energises nothing
             await _until_none(guide, lambda: _refusal(guide, "mode", "adaptive"))
@@ -55,7 +65,7 @@ async def put_to_use(guide: client.Guide, digest: str, setpoint: float) -> float
             await _until_none(guide, lambda: _refusal(guide, "setpoint", setpoint))
             await _until_none(guide, lambda: _lack_of_control(guide))
         except BaseException:
-            await whole(_stop(guide), complete=True)
+            await terminal.whole(_stop(guide), complete=True)
             raise
     return time.monotonic() - began_s
 
@@ -64,7 +74,7 @@ async def _stop(guide: client.Guide) -> None:
     try:
         await guide.send("disable")
     except NoAnswerError as silence:
-        print_line(
+        terminal.print_line(
             f"the stop is unanswered ({silence.problem}): {guide.drive} may run in mode adaptive; "
             "look at it, and disable it"
         )
@@ -106,14 +116,154 @@ async def _lack_of_control(guide: client.Guide) -> str:
     return f"is not in adaptive control: {state.get('reason')}"
 
 
+# An experiment with its live picture in a terminal, ended by a key.
+
+_KEYS = "q ends the experiment with the drive off, as does Ctrl-C"
+_HEADER_ROWS, _BAR_WIDTH = 2, 20
+
+
+def take_point(record: WatchRecord, course: ExperimentCourse, reading: client.FastReading) -> None:
+    """Add a reading that an experiment has taken, and the begin of its phase, to a picture.
+
+    Args:
+        record: The picture.
+        course: The experiment.
+        reading: The reading.
+    """
+    phase, outcome = course.phase.name.lower(), course.outcome
+    if not record.marks or record.marks[-1][1] != phase:
+        record.marks.append((reading.time_s, phase))
+    rest = reading.output if outcome is None else outcome.rest
+    record.points.append(PlotPoint(reading.time_s, rest, reading.output, "manual"))
+
+
+def screen(record: WatchRecord, course: ExperimentCourse, size: tuple[int, int]) -> Layout:
+    """Return the whole screen.
+
+    Args:
+        record: Output and phases over time.
+        course: The experiment.
+        size: Width and height of the terminal in characters.
+    """
+    target, rows = course.target, size[1] - _HEADER_ROWS - 1
+    title = Text(f"{target.name} in {target.unit or '1'}")
+    layout = Layout()
+    layout.split_column(
+        Layout(_header(record, course), size=_HEADER_ROWS),
+        Layout(view.plotted(record, title, (size[0], rows))),
+        Layout(view.cut(Text(f" {_KEYS}", view.DIM)), size=1),
+    )
+    return layout
+
+
+def _header(record: WatchRecord, course: ExperimentCourse) -> Table:
+    target, given, points = course.target, course.target.given, record.points
+    asked_V, output = (course.voltage_V, points[-1].output) if points else (math.nan, math.nan)
+    asked = f"{given.symbol} {view.figure(asked_V)} {given.unit}"
+    shown = f"{target.name} {view.figure(output)} {target.unit}"
+    phase = str(course.phase) if points else "the drive starts"
+    grid, line = Table.grid(expand=True), Table.grid(padding=(0, 1))
+    grid.add_row(view.cut(Text.assemble((f" {record.drive} ", "bold reverse"), f" {phase}")))
+    bar = ProgressBar(total=1.0, completed=course.progress, width=_BAR_WIDTH)
+    line.add_row("", bar, Text(f"{_ahead(course)}   {asked}   {shown}"))
+    grid.add_row(line)
+    return grid
+
+
+def _ahead(course: ExperimentCourse) -> str:
+    """Return the share of the phase, and the time to the end where it is known."""
+    share = f"{100.0 * course.progress:3.0f} %"
+    if math.isnan(course.remaining_s):
+        return share
+    minutes, seconds = divmod(round(course.remaining_s), 60)
+    return f"{share}, {minutes}:{seconds:02d} left"
+
+
+async def carry_out(guide: client.Guide, course: ExperimentCourse) -> None:
+    """Run an experiment and show it: as a picture where a terminal takes one, else by lines.
+
+    Args:
+        guide: The drive.
+        course: The experiment.
+
+    Raises:
+        AdaptdriveError: The experiment cannot continue, or was ended.
+    """
+    try:
+        with terminal.ended_once():
+            if sys.stdin.isatty() and sys.stdout.isatty():
+                await _with_picture(guide, course)
+            else:
+                await guide.carry_out(course, phase_lines(course))
+    finally:
+        if guide.unstopped:
+            sys.stderr.write(f"adaptdrive: {guide.unstopped}\n")
+
+
+async def _with_picture(guide: client.Guide, course: ExperimentCourse) -> None:
+    record, lines = WatchRecord(guide.drive, time.monotonic), phase_lines(course)
+
+    def show(reading: client.FastReading, voltage_V: float) -> None:
+        take_point(record, course, reading)
+        if drawing.done():
+            lines(reading, voltage_V)
+
+    work = asyncio.create_task(guide.carry_out(course, show))
+    drawing = asyncio.create_task(terminal.draw(functools.partial(screen, record, course)))
+    drawing.add_done_callback(_explain)
+    pressed = asyncio.Event()
+
+    def on_keys(keys: str) -> None:
+        if terminal.QUIT in keys:
+            pressed.set()
+            work.cancel()
+
+    try:
+        with terminal.pressed_keys(on_keys):
+            await work
+    except asyncio.CancelledError:
+        if pressed.is_set():
+            off = "" if guide.unstopped else ": the drive is off"
+            raise CommissionError(f"ended by a key{off}") from None
+        raise
+    finally:
+        drawing.cancel()
+        await asyncio.wait([drawing])
+
+
+def _explain(drawing: asyncio.Task[NoReturn]) -> None:
+    """Tell why there is no picture any more."""
+    if not drawing.cancelled():
+        why = " ".join(str(drawing.exception()).split())
+        terminal.print_line(f"adaptdrive: no picture, each phase is a line: {why}")
+
+
+def phase_lines(course: ExperimentCourse) -> Callable[[client.FastReading, float], None]:
+    """Return what prints the begin of each phase; a terminal that takes no output holds up nothing.
+
+    It takes each reading, and the voltage that follows from it.
+    """
+    known: Phase | None = None
+
+    def show(reading: client.FastReading, voltage_V: float) -> None:
+        nonlocal known
+        if course.phase is known:
+            return
+        known, given = course.phase, course.target.given
+        left = "" if math.isnan(course.remaining_s) else f" for {course.remaining_s:.0f} s"
+        output = f"output {reading.output:.4g}"
+        terminal.print_line(f"{given.symbol} {given.text(voltage_V)}  {output}  {known}{left}")
+
+    return show
+
+
 # Commissioning from the first look at the sensors to the proposal.
 
 _WATCHED_S = 5.0
 """Time for which the sensors are watched with the drive off."""
 
 
-@contextmanager
-def alone(drive: str, broker: Broker) -> Iterator[None]:
+def alone(drive: str, broker: Broker) -> AbstractContextManager[object]:
     """Keep other experiments off a drive until the block ends.
 
     Args:
@@ -121,14 +271,10 @@ def alone(drive: str, broker: Broker) -> Iterator[None]:
         broker: Its broker, as others may have a drive of that name.
 
     Raises:
-        CommissionError: Another process of this machine commissions it.
+        AdaptdriveError: Another process of this machine commissions it.
     """
     experiment = f"commissioning of {drive!r} by {broker.host}:{broker.port}"
-    try:
-        with locked([experiment], os.environ):
-            yield
-    except LockedError as problem:
-        raise CommissionError(f"{drive} is already commissioned by {problem.holder}") from None
+    return locked([experiment], os.environ, f"{drive} is already commissioned by {{holder}}")
 
 
 def announcement(path: Path, drive: str, move_share: float, patience_s: float | None) -> str:
@@ -164,10 +310,10 @@ async def commission(
     """
     text, configuration, target = _prepared(path, guide.drive, move_share, patience_s)
     standby = await guide.watch_standby(_WATCHED_S)
-    sensor = evaluation.judge_sensor(standby, configuration, target.move)
-    experiment = LoadExperiment(target)
-    await picture.carry_out(guide, picture.Picture(guide.drive, experiment))
-    return evaluation.judged(sensor, experiment, configuration, text, path)
+    evaluation.refuse_blind(standby, configuration, target.move)
+    experiment = load_experiment(target)
+    await carry_out(guide, experiment)
+    return evaluation.judged(standby, experiment, configuration, text, path)
 
 
 def _prepared(
@@ -185,54 +331,12 @@ def _prepared(
     return text, configuration, build_target(configuration, move_share, patience_s)
 
 
-def write(path: Path, commissioned: evaluation.Commissioned) -> tuple[Path, str]:
-    """Write the proposed settings to the configuration.
-
-    Returns:
-        A copy of the file before, and the digest of what was written.
-
-    Raises:
-        CommissionError: The predicted response is no good.
-        ConfigurationError: The file was changed and is not valid with the settings, or cannot be
-            written.
-    """
-    if commissioned.refusal:
-        raise CommissionError(f"{path} stays as it is: {commissioned.refusal}")
-    text = read_text(path)
-    parse_configuration(text, path)
-    proposed = proposal.with_values(path, text, commissioned.proposal.values)
-    examine_text(proposed, path)
-    return proposal.write_values(path, proposed), digest_of(proposed)
-
-
-def reached(commissioned: evaluation.Commissioned) -> float:
-    """Return an output to hold next: one that the experiment has led the load to."""
-    outcome, load = commissioned.outcome, commissioned.before.load
-    reached = float(f"{outcome.rest + outcome.moved:.4g}")
-    return min(max(reached, load.reference_min), load.reference_max)
-
-
 # The experiment on a plant of the user, in virtual time.
 
 _SAMPLE_S = 0.1
 """Time between two samples, as between two messages of the daemon."""
 
 _LONGEST_RUN_S = 30.0 * 86400.0
-
-
-def _samples(
-    configuration: root.Configuration, plant: Plant
-) -> Callable[[float], tuple[float, float, float]]:
-    """Return what advances a plant by a sample under V_c: to its time, boost voltage and output."""
-    loop = PlantLoop(configuration, plant, follows=True)
-    count = max(1, round(_SAMPLE_S / timing_of(configuration).reading_s))
-
-    def sample(voltage_V: float) -> tuple[float, float, float]:
-        for _ in range(count):
-            loop.step(Command(0.0, voltage_V, bridge=True))
-        return loop.time_s, loop.voltage_V, loop.output
-
-    return sample
 
 
 def commission_plant(
@@ -250,13 +354,21 @@ def commission_plant(
         AdaptdriveError: The experiment cannot continue, or does not show the load.
     """
     text, configuration, target = _prepared(path, None, move_share, patience_s)
-    sample, standby = _samples(configuration, plant), Samples()
+    loop, standby = PlantLoop(configuration, plant, follows=True), Samples()
+    count = max(1, round(_SAMPLE_S / timing_of(configuration).reading_s))
+
+    def sample(voltage_V: float) -> tuple[float, float, float]:
+        """Advance by a sample under V_c: to its time, boost voltage and output."""
+        for _ in range(count):
+            loop.step(Command(0.0, voltage_V, bridge=True))
+        return loop.time_s, loop.voltage_V, loop.output
+
     while not standby.times_s or standby.times_s[-1] < _WATCHED_S:
         standby.append(*sample(target.low_V))
-    sensor = evaluation.judge_sensor(standby, configuration, target.move)
-    experiment = LoadExperiment(target)
+    evaluation.refuse_blind(standby, configuration, target.move)
+    experiment = load_experiment(target)
     while not experiment.done:
-        experiment.take(*sample(experiment.course.voltage_V))
-        if experiment.course.time_s > _LONGEST_RUN_S:
+        experiment.take(*sample(experiment.voltage_V))
+        if experiment.time_s > _LONGEST_RUN_S:
             raise CommissionError("the experiment does not end within 30 days")
-    return evaluation.judged(sensor, experiment, configuration, text, path)
+    return evaluation.judged(standby, experiment, configuration, text, path)

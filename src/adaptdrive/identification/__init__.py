@@ -50,7 +50,11 @@ def identify(
     used = tuple(place for place, count in enumerate(counts) if count >= _FEWEST_IN_PART)
     usable = [excerpts[place] for place in used]
     _require_data(usable, sum(counts[place] for place in used), block, len(excerpts))
-    problem = _problem(excerpt.blocks_of(usable, load, block, lead), load)
+    drift: tuple[float, ...] = ()
+    if load.charging is not None:
+        drift = tuple(1.0 if power == load.order else 0.0 for power in load.input_powers)
+    parts = excerpt.blocks_of(usable, load, block, lead)
+    problem = fit.Problem(parts, load.order, load.input_powers, drift, noise=np.ones(1))
     fitted = simulation = fit.scan(problem)
     fit.require_excitation(fitted)
     for number in range(_ROUNDS):
@@ -79,14 +83,13 @@ def identify_any(
     Raises:
         IdentificationError: The data do not determine the load; the reason is the message.
     """
-    return min((identify(excerpts, load, block=block) for load in loads), key=_criterion)
 
+    def criterion(load: result.IdentifiedLoad) -> float:
+        """Return the criterion, for each error."""
+        count, fitted = sum(map(len, load.errors)), len(load.denominator) + len(load.noise)
+        return 2.0 * math.log(load.noise_std) + math.log(count) / count * fitted
 
-def _criterion(load: result.IdentifiedLoad) -> float:
-    """Return the criterion, for each error."""
-    count = sum(map(len, load.errors))
-    fitted = len(load.denominator) + len(load.noise)
-    return 2.0 * math.log(load.noise_std) + math.log(count) / count * fitted
+    return min((identify(excerpts, load, block=block) for load in loads), key=criterion)
 
 
 def _noise(fitted: fit.Solution) -> excerpt.Array:
@@ -102,13 +105,6 @@ def _drift(fitted: fit.Solution) -> tuple[float, ...]:
         return ()
     numerator = fitted.weights[: len(problem.powers)]
     return tuple((numerator / np.abs(numerator).max()).tolist())
-
-
-def _problem(parts: list[excerpt.Blocks], load: Load) -> fit.Problem:
-    drift: tuple[float, ...] = ()
-    if load.charging is not None:
-        drift = tuple(1.0 if power == load.order else 0.0 for power in load.input_powers)
-    return fit.Problem(parts, load.order, load.input_powers, drift, noise=np.ones(1))
 
 
 def _require_data(excerpts: Sequence[excerpt.Excerpt], count: int, block: int, parts: int) -> None:

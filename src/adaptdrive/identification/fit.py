@@ -92,6 +92,11 @@ class Solution:
     condition: float
 
     @property
+    def values(self) -> Array:
+        """All fitted values: the logarithms, then the weights."""
+        return np.concatenate((self.logarithms, self.weights))
+
+    @property
     def loss(self) -> float:
         """Sum of e²."""
         return float(self.errors @ self.errors)
@@ -105,13 +110,12 @@ def columns(problem: Problem, logarithms: Array) -> Array:
         logarithms: Of a_1 ... a_m.
     """
     denominator = np.concatenate(([1.0], np.exp(logarithms)))
-    fraction = problem.delay % 1.0 if problem.parts[0].moments else 0.0
-    delay = problem.delay - fraction
-    filters = (
-        moment_responses(denominator, problem.parts[0].period_s, fraction)
-        if problem.parts[0].moments
-        else responses(denominator, problem.parts[0].period_s)
-    )
+    block_s, delay = problem.parts[0].period_s, problem.delay
+    if problem.parts[0].moments:
+        filters = moment_responses(denominator, block_s, delay % 1.0)
+        delay -= delay % 1.0
+    else:
+        filters = responses(denominator, block_s)
     shared, order = problem.shared, problem.order
     count = sum(len(part.outputs) for part in problem.parts)
     made = np.zeros((count, shared + order * sum(not part.at_rest for part in problem.parts)))

@@ -169,7 +169,7 @@ def result_of(
     problem, effects = fitted.problem, _effects(fitted)
     parameters, spread = _parameters(load, fitted, effects)
     offset, offset_spread = _mapped(lambda values: _input_offset(problem, values), fitted, effects)
-    numerator, denominator = _model(problem, _values(fitted))
+    numerator, denominator = _model(problem, fitted.values)
     errors = fit.split(problem, fitted.errors, lost=len(problem.noise) - 1)
     simulated = _simulated(problem, fitted.logarithms, fitted.weights[: problem.shared])
     residuals = problem.targets - simulated
@@ -196,7 +196,12 @@ def result_of(
 
 def _parameters(load: Load, fitted: Solution, effects: Array) -> tuple[dict[str, Estimate], Array]:
     """Return the physical parameters of a fit, and their covariance."""
-    values, spread = _mapped(lambda found: _physical(fitted.problem, load, found), fitted, effects)
+
+    def physical(found: Array) -> Array:
+        numerator, denominator = _model(fitted.problem, found)
+        return np.array(load.physical(numerator.tolist(), denominator.tolist()))
+
+    values, spread = _mapped(physical, fitted, effects)
     pairs = zip(load.names, values.tolist(), np.sqrt(np.diag(spread)).tolist(), strict=True)
     return {name: Estimate(value, std) for name, value, std in pairs}, spread
 
@@ -248,15 +253,11 @@ def _coloured(fitted: Solution, factors: Array) -> Array:
     return np.hstack((np.concatenate(filtered).T, factors[:, count:]))
 
 
-def _values(solution: Solution) -> Array:
-    return np.concatenate((solution.logarithms, solution.weights))
-
-
 def _mapped(
     function: Callable[[Array], Array], solution: Solution, effects: Array
 ) -> tuple[Array, Array]:
     """Return a function of the fitted parameters, and its covariance to first order."""
-    values = _values(solution)
+    values = solution.values
     logarithms, weights = np.ones(len(solution.logarithms)), np.abs(solution.weights)
     steps = np.concatenate((logarithms, np.where(weights == 0.0, 1.0, weights)))
     acting = slopes_of(function, values, steps) @ effects[: len(values)]
@@ -284,11 +285,6 @@ def _model(problem: Problem, fitted: Array) -> tuple[Array, Array]:
     numerator = np.zeros(order + 1)
     numerator[list(problem.powers)] = fitted[order : order + len(problem.powers)]
     return numerator, np.concatenate(([1.0], np.exp(fitted[:order])))
-
-
-def _physical(problem: Problem, load: Load, fitted: Array) -> Array:
-    numerator, denominator = _model(problem, fitted)
-    return np.array(load.physical(numerator.tolist(), denominator.tolist()))
 
 
 def _input_offset(problem: Problem, fitted: Array) -> Array:

@@ -89,7 +89,7 @@ KEYS = (
     *("m manual", "+- set-point", "q quit"),
 )
 _ROWS = 6
-_SHORTEST_WINDOW_S = 30.0
+_SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
 _EVENTS, _WIDE = 6, 110
 _LEAST_PLOT = 9
 _TRIP_LINES = 2
@@ -118,7 +118,7 @@ class ViewExtras:
     keys: Sequence[str] = KEYS
     lead: Sequence[Text] = ()
     tables: Mapping[str, Table] = field(default_factory=dict)
-    longest_s: float = 600.0
+    longest_s: float = _LONGEST_WINDOW_S
     cover: Text | None = None
     plant: bool = True
     takes: Takes = lambda _: False
@@ -193,14 +193,28 @@ def _add_controller(line: Text, state: Payload) -> None:
 
 
 def _plot(record: WatchRecord, longest_s: float, size: tuple[int, int]) -> Table:
-    points, now_s = list(record.points), record.now_s
-    since_s = now_s - points[0].time_s if points else 0.0
-    window_s = min(max(since_s, _SHORTEST_WINDOW_S), longest_s)
     unit = f" in {record.unit}" if record.unit else ""
     title = Text(printable(f"{record.output_name}{unit}"))
     for name, form in {**FORMS, "off": OFF, "reference": REFERENCE}.items():
         title.append(f"  {form.sign * 2} {name}", form.style)
     title.append(" ")
+    return plotted(record, title, size, longest_s)
+
+
+def plotted(
+    record: WatchRecord, title: Text, size: tuple[int, int], longest_s: float = _LONGEST_WINDOW_S
+) -> Table:
+    """Return the plot of what was received below its title.
+
+    Args:
+        record: What was received.
+        title: The title.
+        size: Width and height of both in characters.
+        longest_s: Longest time that it shows.
+    """
+    points, now_s = list(record.points), record.now_s
+    since_s = now_s - points[0].time_s if points else 0.0
+    window_s = min(max(since_s, _SHORTEST_WINDOW_S), longest_s)
     room = size[0] - 1, size[1] - 1
     return titled(title, plot(points, list(record.marks), now_s, window_s, room))
 

@@ -9,7 +9,7 @@ import pytest
 
 from adaptdrive.analysis.excerpts import read_stretches
 from adaptdrive.analysis.load_report import as_json, as_text
-from adaptdrive.analysis.record import SessionLoad, identify_session
+from adaptdrive.analysis.record import RecordLoad, identify_session
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import create_session
@@ -20,11 +20,11 @@ from tests.unit.recording.material import INFO, make_batch, make_tick, record_me
 
 
 @pytest.fixture(scope="module")
-def found(session_path: Path) -> SessionLoad:
-    return identify_session(session_path)
+def found(session_path: Path) -> RecordLoad:
+    return identify_session(read_session(session_path))[0]
 
 
-def test_the_load_behind_a_session_is_found(found: SessionLoad) -> None:
+def test_the_load_behind_a_session_is_found(found: RecordLoad) -> None:
     true = Motor(MotorParameters(), disks=3).model(0.25, 1.0)
     gain, total_s, product_s2 = found.load.parameters.values()
     taus_s = true["tau_motor_s"], true["tau_filter_s"]
@@ -36,7 +36,7 @@ def test_the_load_behind_a_session_is_found(found: SessionLoad) -> None:
     assert found.load.fit > 0.9
 
 
-def test_the_on_line_estimate_stands_beside_it(found: SessionLoad, session_path: Path) -> None:
+def test_the_on_line_estimate_stands_beside_it(found: RecordLoad, session_path: Path) -> None:
     last = read_session(session_path).table("slow")["estimates"].to_pylist()[-1][0]
     assert found.online["gain"].value == last["value"]
     text = as_text(found)
@@ -53,16 +53,16 @@ def test_a_session_with_missed_ticks_is_identified(tmp_path: Path, session_path:
     directory = create_session(tmp_path, INFO, text)
     batch = make_batch([ticks[n] for n in kept if n < len(ticks)], slow, last=True)
     record_messages(directory, Header(INFO, text), batch)
-    found = identify_session(directory)
+    found, stretches = identify_session(read_session(directory))
     assert found.load.parameters["gain"].value == pytest.approx(0.0113, rel=0.05)
     assert found.left_out > 0
-    assert len(found.stretches) == len(found.load.residuals)
+    assert len(stretches) == len(found.load.residuals)
     assert f"{found.left_out} parts of too few samples left out" in as_text(found)
 
 
 def test_a_part_in_which_nothing_ran_is_refused(session_path: Path) -> None:
     with pytest.raises(IdentificationError, match="did not run"):
-        identify_session(session_path, 1000.0)
+        identify_session(read_session(session_path), 1000.0)
 
 
 def test_a_line_whose_frequency_wanders_has_one_period(tmp_path: Path) -> None:

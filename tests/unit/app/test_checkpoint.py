@@ -190,7 +190,7 @@ def report() -> LoadReport:
 async def test_it_is_written_on_acceptance_at_most_once_a_minute_and_at_the_end() -> None:
     hub, clock, learner = Hub(), Clock(), Learner()
     written: list[cp.Values | None] = []
-    keeper = cp.Keeper(lambda learnt: written.append(learnt.values), learner, hub, clock)
+    keeping = cp.keep_learnt(lambda one: written.append(one.values), learner, hub, clock)
 
     async def period(now_s: float, trusted: cp.Values | None, *expected: cp.Values) -> None:
         clock.now_s, learner.trusted = now_s, trusted
@@ -199,20 +199,18 @@ async def test_it_is_written_on_acceptance_at_most_once_a_minute_and_at_the_end(
         await until(lambda: len(written) >= len(expected))
         assert written == list(expected)
 
-    task = asyncio.create_task(keeper.run())
+    task = asyncio.create_task(keeping)
     await period(1.0, None)
     await period(2.0, (1.0,), (1.0,))
     await period(61.0, (2.0,), (1.0,))
     await period(62.0, (3.0,), (1.0,), (3.0,))
     await period(200.0, (3.0,), (1.0,), (3.0,))
+    learner.resolution = RESOLUTION
+    await period(300.0, (3.0,), (1.0,), (3.0,), (3.0,))
     learner.trusted = (4.0,)
     task.cancel()
-    keeper.save()
-    keeper.save()
-    assert written == [(1.0,), (3.0,), (4.0,)]
-    learner.resolution = RESOLUTION
-    keeper.save()
-    assert written == [(1.0,), (3.0,), (4.0,), (4.0,)]
+    await asyncio.wait([task])
+    assert written == [(1.0,), (3.0,), (3.0,), (4.0,)]
 
 
 def test_a_restarted_daemon_knows_the_resolution_of_its_sensor_from_the_first_period() -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from adaptdrive.app.process import NAMESPACE, LockedError, lock_names, locked
+from adaptdrive.app.process import NAMESPACE, lock_names, locked
+from adaptdrive.util.errors import AdaptdriveError
 from tests.unit.config.documents import parse
 from tests.unit.config.modbus_documents import parse as parse_modbus
 
@@ -20,7 +21,7 @@ def test_a_drive_has_one_daemon() -> None:
     names = list(lock_names(parse()))
     assert "drive 'bench'" in names
     with locked(names, {NAMESPACE: "here"}):
-        with pytest.raises(LockedError, match="drive 'bench' is controlled by process"):
+        with pytest.raises(AdaptdriveError, match="drive 'bench' is controlled by process"):
             locked(names, {NAMESPACE: "here"}).__enter__()
         with locked(names, {NAMESPACE: "another machine"}):
             pass

@@ -13,8 +13,7 @@ import numpy as np
 import tomlkit
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.commissioning.course import Phase, Target, build_target
-from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.course import ExperimentCourse, Phase, Target, build_target
 from adaptdrive.config.root import Configuration
 from adaptdrive.recording.replay import reconfigured
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
@@ -220,12 +219,12 @@ class Rig:
         self._late.append(output)
 
 
-def finish(found: LoadExperiment, rig: Rig) -> None:
+def finish(found: ExperimentCourse, rig: Rig) -> None:
     """Feed an experiment until it is complete."""
     limits = rig.draw.configuration.drive.limits
     voltage_V = limits.boost_reference_min_V
     while not found.done:
         voltage_V = found.take(*rig.sample(voltage_V))
         assert limits.boost_reference_min_V <= voltage_V <= limits.boost_reference_max_V
-        if math.isnan(rig.rest) and found.course.phase is Phase.CLIMB:
+        if math.isnan(rig.rest) and found.phase is Phase.CLIMB:
             rig.begin()

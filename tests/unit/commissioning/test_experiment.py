@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptdrive.commissioning.course import Phase, Target
-from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.course import ExperimentCourse, Phase, Target
+from adaptdrive.commissioning.experiment import load_experiment
 from adaptdrive.util.errors import CommissionError
 from tests.support import sample
 from tests.unit.commissioning.draws import KINDS, Rig, encoder_motor, finish
@@ -48,9 +48,9 @@ def lag(gain: float, tau_s: float, noise: float = 0.0) -> Follow:
     return follow
 
 
-def run(load: Follow, target: Target = TARGET) -> tuple[LoadExperiment, list[float]]:
+def run(load: Follow, target: Target = TARGET) -> tuple[ExperimentCourse, list[float]]:
     """Run an experiment on a drive that follows V_c at once."""
-    experiment, voltages, time_s = LoadExperiment(target), [target.low_V], 0.0
+    experiment, voltages, time_s = load_experiment(target), [target.low_V], 0.0
     while not experiment.done:
         time_s += SAMPLE_S
         voltages.append(experiment.take(time_s, voltages[-1], load(voltages[-1])))
@@ -95,7 +95,7 @@ def test_the_output_moves_as_far_as_was_asked_for(gain: float, tau_s: float) -> 
     assert outcome is not None
     assert outcome.gain == pytest.approx(gain, rel=0.1)
     assert outcome.high_V - outcome.low_V == pytest.approx(min(0.2 / outcome.gain, 200.0), rel=1e-9)
-    outputs = np.array(experiment.course.record.outputs) - gain * 200.0
+    outputs = np.array(experiment.record.outputs) - gain * 200.0
     assert outputs.min() > BAND[0] * target.move
     assert outputs.max() < BAND[1] * target.move
     assert min(voltages) >= target.low_V
@@ -126,7 +126,7 @@ def test_the_levels_are_those_of_a_maximum_length_sequence() -> None:
     assert outcome is not None
     levels = [voltage_V == outcome.high_V for voltage_V in voltages[-400:]]
     assert 0.3 < np.mean(levels) < 0.7
-    assert experiment.course.phase is Phase.DONE
+    assert experiment.phase is Phase.DONE
 
 
 def reversed_sensor() -> Follow:
@@ -164,7 +164,7 @@ def test_a_load_that_cannot_be_identified_is_refused(
 
 def test_a_value_that_is_not_finite_is_refused() -> None:
     with pytest.raises(CommissionError, match="is not finite"):
-        LoadExperiment(TARGET).take(0.1, 200.0, math.nan)
+        load_experiment(TARGET).take(0.1, 200.0, math.nan)
 
 
 def test_a_full_battery_is_refused() -> None:
@@ -174,7 +174,7 @@ def test_a_full_battery_is_refused() -> None:
     assert battery is not None
     lower_V = {"voltage_max_V": 0.8 * battery.charge.voltage_max_V}
     full = battery.model_copy(update={"charge": battery.charge.model_copy(update=lower_V)})
-    rig, experiment = Rig(draw, random), LoadExperiment(replace(draw.target, battery=full))
+    rig, experiment = Rig(draw, random), load_experiment(replace(draw.target, battery=full))
     with pytest.raises(CommissionError, match=r"is too full for the experiment"):
         finish(experiment, rig)
 
@@ -184,12 +184,12 @@ def test_a_drive_that_follows_late_moves_a_battery_no_further(seed: int) -> None
     """Each voltage is in force half a second after it was asked for; the wait is short."""
     random = np.random.default_rng([seed, 15])
     draw = KINDS["battery"](random)
-    experiment = LoadExperiment(replace(draw.target, patience_s=4.0))
+    experiment = load_experiment(replace(draw.target, patience_s=4.0))
     rig = Rig(draw, random, noise_share=0.001)
     asked = deque([draw.target.low_V] * 5)
     while not experiment.done:
-        asked.append(experiment.course.voltage_V)
+        asked.append(experiment.voltage_V)
         experiment.take(*rig.sample(asked.popleft()))
-        if math.isnan(rig.rest) and experiment.course.phase is Phase.CLIMB:
+        if math.isnan(rig.rest) and experiment.phase is Phase.CLIMB:
             rig.begin()
     assert rig.movement[1] < 1.05

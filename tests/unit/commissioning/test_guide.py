@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from adaptdrive.commissioning.client import HOLD_S, Guide, fast_readings
-from adaptdrive.commissioning.course import Samples, build_target
-from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.course import ExperimentCourse, Samples, build_target
+from adaptdrive.commissioning.experiment import load_experiment
 from adaptdrive.config.file import load_configuration
 from adaptdrive.mqtt.client import DriveStatus, NoAnswerError
 from adaptdrive.mqtt.connection import Broker
@@ -176,8 +176,8 @@ async def test_a_drive_that_another_operator_has_enabled_is_left_alone(pretend: 
     assert drive.verbs == []
 
 
-async def begun(guide: Guide) -> LoadExperiment:
-    experiment = LoadExperiment(TARGET)
+async def begun(guide: Guide) -> ExperimentCourse:
+    experiment = load_experiment(TARGET)
     await guide.carry_out(experiment, lambda *_: None)
     return experiment
 

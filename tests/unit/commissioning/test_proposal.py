@@ -12,7 +12,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.commissioning.course import Samples
 from adaptdrive.commissioning.evaluation import evaluate, predict
-from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.experiment import load_experiment
 from adaptdrive.commissioning.proposal import Proposal, propose
 from adaptdrive.control.design.pole_placement import Plant, discrete_model
 from adaptdrive.control.loads.motor import motor_load
@@ -38,11 +38,11 @@ def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, Response, float]:
     """A draw, what commissioning proposes for it, what it predicts, and the voltage before."""
     random = np.random.default_rng([seed, 15])
     draw = KINDS[kind](random)
-    found = LoadExperiment(draw.target)
+    found = load_experiment(draw.target)
     finish(found, Rig(draw, random))
     assert found.outcome is not None
     load = build_load(draw.configuration)
-    identified = evaluate(found.course.record, found.outcome, [load])
+    identified = evaluate(found.record, found.outcome, [load])
     proposal = propose(identified, draw.text, parameters.EXAMPLES / "drawn.toml")
     rest_V = draw.target.middle_V(found.outcome.low_V, found.outcome.high_V)
     prediction = predict(identified, proposal.configuration, rest_V, draw.target.move)

@@ -18,11 +18,11 @@ import pytest
 from adaptdrive.analysis.curves import Quality, Response
 from adaptdrive.app.examine import examine_text
 from adaptdrive.cli import main
-from adaptdrive.commissioning.evaluation import Commissioned, refusal_of
+from adaptdrive.commissioning.evaluation import Commissioned, refusal_of, write
 from adaptdrive.commissioning.proposal import refuse_unwritable, with_values, write_values
-from adaptdrive.commissioning.run import alone, write
+from adaptdrive.commissioning.run import alone
 from adaptdrive.mqtt.connection import Broker
-from adaptdrive.util.errors import CommissionError, ConfigurationError
+from adaptdrive.util.errors import AdaptdriveError, CommissionError, ConfigurationError
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 
@@ -52,7 +52,7 @@ def test_a_second_experiment_on_a_drive_is_refused() -> None:
         alone("commissioned", broker),
         alone("another", broker),
         alone("commissioned", Broker(host="elsewhere.example")),
-        pytest.raises(CommissionError, match=rf"commissioned by process {os.getpid()}"),
+        pytest.raises(AdaptdriveError, match=rf"commissioned by process {os.getpid()}"),
         alone("commissioned", broker),
     ):
         pytest.fail("it began")

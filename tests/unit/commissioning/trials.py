@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.commissioning.evaluation import evaluate
-from adaptdrive.commissioning.experiment import LoadExperiment
+from adaptdrive.commissioning.experiment import load_experiment
 from adaptdrive.util.errors import AdaptdriveError
 from tests.unit.commissioning.draws import KINDS, Draw, Rig, finish
 from tests.unit.commissioning.loops import Loop, loop_around
@@ -57,13 +57,13 @@ def trial(kind: str, seed: int) -> Trial:
 
 def trial_of(draw: Draw, random: np.random.Generator) -> Trial:
     truth = draw.truth
-    found, rig = LoadExperiment(draw.target), Rig(draw, random)
+    found, rig = load_experiment(draw.target), Rig(draw, random)
     refusal, errors, sigmas, loop = "", {}, {}, None
     try:
         finish(found, rig)
         assert found.outcome is not None
         loads = [build_load(draw.configuration)]
-        identified = evaluate(found.course.record, found.outcome, loads)
+        identified = evaluate(found.record, found.outcome, loads)
         parameters = identified.parameters
         errors = {name: one.value / truth[name] - 1.0 for name, one in parameters.items()}
         sigmas = {name: (one.value - truth[name]) / one.std for name, one in parameters.items()}
