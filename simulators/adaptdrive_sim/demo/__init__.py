@@ -1,8 +1,7 @@
-"""`adaptdrive-sim demo`: broker, simulated drive and daemon as processes, and a view of them."""
+"""`adaptdrive-sim demo`: a story of a simulated drive and its controller, and a view of it."""
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -30,23 +29,17 @@ class DemoSettings:
         noise: Standard deviation of each sample of the output, in its unit; the story's own when
             left out.
         seed: Seed of the noise.
-        directory: Folder for configuration, logs and sessions; a new one in build/demo when left
-            out.
-        speed: Times real time, for a story in virtual time.
+        speed: Times real time; the story's own when left out.
     """
 
     duration_s: Annotated[float | None, Parameter(name="--duration")] = None
     headless: Annotated[bool, Parameter(negative=())] = False
     noise: float | None = None
     seed: Integer = 0
-    directory: Path | None = None
     speed: float | None = None
 
-    def check(self, *, virtual: bool) -> None:
+    def check(self) -> None:
         """Refuse what cannot be done.
-
-        Args:
-            virtual: Whether the story passes in virtual time.
 
         Raises:
             RefusedError: Which option, and why.
@@ -57,7 +50,3 @@ class DemoSettings:
             raise RefusedError(f"--speed {self.speed:g} must lie above 0, and up to 1e6")
         if self.noise is not None and not 0.0 <= self.noise <= 1.0:
             raise RefusedError(f"--noise {self.noise:g} must lie in 0…1")
-        unused = "directory" if virtual else "speed"
-        if getattr(self, unused) is not None:
-            time = "virtual time, without processes" if virtual else "real time"
-            raise RefusedError(f"--{unused}: this story passes in {time}")

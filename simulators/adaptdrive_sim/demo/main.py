@@ -1,15 +1,12 @@
 """`adaptdrive-sim demo`: plays one story, shows it, and prints its figures."""
 
 import asyncio
-import math
+import os
 import shutil
 import sys
-import time
-import webbrowser
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -20,23 +17,20 @@ from rich.layout import Layout
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.processes import ProcessDiedError
-from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.session import SessionMark, write_marks
 from adaptdrive.tui import run_view, terminal
 from adaptdrive.tui.record import CONTROLLERS, plot
 from adaptdrive.tui.view import DIM, ViewExtras, figure, flow, rows, screen
 from adaptdrive.tui.view import KEYS as DRIVE_KEYS
-from adaptdrive.util.clock import in_thread
-from adaptdrive.util.errors import AdaptdriveError, first_error
-from adaptdrive_sim.demo import DemoSettings
+from adaptdrive_sim.demo import DemoError, DemoSettings
 from adaptdrive_sim.demo.player import Player
-from adaptdrive_sim.demo.stages import RealStage, VirtualStage, program
-from adaptdrive_sim.demo.story import TRIPPED, DemoRecord, Story, read_story
+from adaptdrive_sim.demo.stage import Stage
+from adaptdrive_sim.demo.story import DemoRecord, Story, read_story
 
 # The view of a demonstration: that of `adaptdrive watch`, with the story and its table.
 
-KEYS = ("q end", "space pause", "d disk", "f fixed", "a adaptive", "p panel", "s STOP", "? help")
+KEYS = ("q end", "space pause", "d disk", "f fixed", "a adaptive", "s STOP", "? help")
+
+_DEPLOYED = " bus     adaptdrive start FILE --simulate FILE has broker, daemon and panel"
 
 
 class DemoView:
@@ -46,17 +40,15 @@ class DemoView:
         help: Whether the help is shown.
     """
 
-    def __init__(self, record: DemoRecord, player: Player, stage: RealStage | VirtualStage) -> None:
+    def __init__(self, stage: Stage, player: Player) -> None:
         """Prepare the view.
 
         Args:
-            record: What was received.
+            stage: Where the story is played.
             player: The story.
-            stage: Where it is played.
         """
         self.help = False
-        self._record, self._player, self._stage = record, player, stage
-        self._opening: asyncio.Task[None] | None = None
+        self._record, self._player, self._stage = stage.record, player, stage
 
     def takes(self, key: str) -> terminal.KeyCommand | bool:
         """Act on a key of the story; return its disturbance, or whether it was such a key."""
@@ -65,14 +57,12 @@ class DemoView:
                 self._player.toggle()
             case "?":
                 self.help = not self.help
-            case "p":
-                self._opening = asyncio.create_task(self._open_panel())
             case "d":
                 return self._player.dropped() or True
             case "s" | "S":
                 self._player.hold("The drive was stopped.")
                 return False
-        return key in " ?p"
+        return key in " ?"
 
     def screen(self, size: tuple[int, int]) -> Layout:
         """Return the whole screen for a terminal of some width and height."""
@@ -93,22 +83,12 @@ class DemoView:
         return [position, *(Text(f" {line}", "italic") for line in lines)]
 
     def _help(self, width: int) -> Text:
-        """Return what else can be done, here and from another terminal."""
+        """Return what else can be done."""
         offered = self._record.features
         digits = [f"{digit} {one.get('text')}" for digit, one in enumerate(offered, 1)]
         lines = [*flow(digits, width), *flow(DRIVE_KEYS[:-1], width)]
-        lines += [f" {name:<7} {place}" for name, place in self._stage.places.items()]
+        lines += [f" time    {self._stage.speed:g} times real time, in one process", _DEPLOYED]
         return Text("\n".join(lines), DIM, no_wrap=True, overflow="ellipsis")
-
-    async def _open_panel(self) -> None:
-        self._record.answer = "panel: starting…"
-        try:
-            address = await self._stage.panel()
-        except AdaptdriveError as problem:
-            self._record.answer = f"panel: {problem}"
-        else:
-            self._record.answer = f"panel: {address}"
-            in_thread(lambda: webbrowser.open(address), "adaptdrive-browser")
 
 
 def story_table(record: DemoRecord) -> tuple[str, Table]:
@@ -149,52 +129,44 @@ def run_demo(name: str, settings: DemoSettings) -> int:
         AdaptdriveError: It could not begin.
     """
     story = read_story(name)
-    settings.check(virtual=story.speed is not None)
+    settings.check()
     seen = sys.stdout.isatty() and sys.stdin.isatty() and not settings.headless
     if seen:
         terminal.refuse_dumb_terminal()
-    summary, problem = asyncio.run(_play(story, replace(settings, headless=not seen)))
+    summary = asyncio.run(_play(story, replace(settings, headless=not seen)))
     if not seen:
         sys.stdout.write(msgspec.json.encode(summary).decode() + "\n")
     if not summary["ok"]:
-        tail = problem.tail if isinstance(problem, ProcessDiedError) else []
-        lines = [f"adaptdrive-sim: {summary['reason']}", *(f"  {line}" for line in tail)]
-        sys.stderr.write("\n".join(lines) + "\n")
+        sys.stderr.write(f"adaptdrive-sim: {summary['reason']}\n")
     return 0 if summary["ok"] else 1
 
 
-async def _play(story: Story, settings: DemoSettings) -> tuple[Summary, AdaptdriveError | None]:
-    """Play a story to its end, and return its figures and what has ended it early."""
-    problem: AdaptdriveError | None = None
-    virtual = story.speed is not None
-    stage = VirtualStage(story, settings) if virtual else RealStage(story, settings)
-    record = DemoRecord(stage.drive_name, time.monotonic, story=story)
-    player = Player(story, stage, record, settings.duration_s)
+async def _play(story: Story, settings: DemoSettings) -> Summary:
+    """Play a story to its end, and return its figures."""
+    stage, problem = Stage(story, settings), ""
+    player = Player(stage, settings.duration_s)
+    view = DemoView(stage, player)
+    show = None if settings.headless else view.screen
     try:
-        async with stage:
-            view = DemoView(record, player, stage)
-            show = None if settings.headless else view.screen
-            jobs = [player.run(), *stage.services(record)]
-            with suppress(KeyboardInterrupt):
-                await run_view(record, stage.ask, jobs, show, view.takes)
-    except* AdaptdriveError as problems:
-        problem = first_error(problems)
-    if stage.session is not None:
-        keep_marks(record, stage.session)
-    summary = summarise(record, player, str(problem or "")) | stage.facts
+        with suppress(KeyboardInterrupt):
+            await run_view(stage.record, stage.ask, [player.run()], show, view.takes)
+    except DemoError as failure:
+        problem = str(failure)
+    summary = summarise(stage, player, problem)
     if not settings.headless:
-        show_end(record, summary, stage.session)
-    return summary, problem
+        show_end(stage.record, summary)
+    return summary
 
 
-def summarise(record: DemoRecord, player: Player, failure: str) -> Summary:
+def summarise(stage: Stage, player: Player, failure: str) -> Summary:
     """Return everything worth knowing at the end, as one flat object for JSON.
 
     Args:
-        record: What was received.
+        stage: Where the story was played.
         player: The story.
         failure: What ended the demonstration early; empty when nothing did.
     """
+    record = stage.record
     problems = [failure] if failure else list(_problems(record, player))
     return {
         "demo": record.story.name,
@@ -211,6 +183,8 @@ def summarise(record: DemoRecord, player: Player, failure: str) -> Summary:
         "values": {name: round(value, 4) for name, value in record.values.items()},
         "estimates": record.load.get("estimates"),
         "truth": {name: record.truth.get(name) for name in record.load.get("estimates") or ()},
+        "virtual_time": True,
+        "speed": stage.speed,
     }
 
 
@@ -243,13 +217,7 @@ def _overshoots(record: DemoRecord) -> dict[str, dict[str, float]]:
     }
 
 
-def keep_marks(record: DemoRecord, session: Path) -> None:
-    """Write what was done to the drive into its session, for figures."""
-    marks = [SessionMark(datetime.fromtimestamp(s, UTC), text) for s, text in record.marks]
-    write_marks(session, [mark for mark in marks if mark.text != TRIPPED])
-
-
-def show_end(record: DemoRecord, summary: Summary, session: Path | None) -> None:
+def show_end(record: DemoRecord, summary: Summary) -> None:
     """Print what was seen, the figures, and the line that shows it again."""
     points = list(record.points)
     console = Console(highlight=False)
@@ -261,19 +229,15 @@ def show_end(record: DemoRecord, summary: Summary, session: Path | None) -> None
         name, table = story_table(record)
         table.expand = False
         console.print(Group(title, picture, Text(f"\n{name}", "bold"), table, ""))
-    sys.stdout.write("\n".join(_lines(summary, session)) + "\n")
+    sys.stdout.write("\n".join(_lines(summary)) + "\n")
 
 
-def _lines(summary: Summary, session: Path | None) -> Iterator[str]:
+def _lines(summary: Summary) -> Iterator[str]:
     verdict = "control worked" if summary["ok"] else "control failed"
     yield f"{summary['demo']}: {verdict} for {summary['duration_s']:.0f} s"
     counted = (f"{summary[name]} {name}" for name in ("ticks", "missed", "held"))
     yield f"  ticks      {', '.join(counted)}, {len(summary['trips'])} trips"
-    if session is not None and (drawn := _figure(session)) is not None:
-        yield f"  figure     {_short(drawn[0])}"
-        yield f"  once more  {program()} plot {_short(session)} --from {drawn[1]}"
-    else:
-        yield f"  once more  {program('adaptdrive-sim')} demo {summary['demo']}"
+    yield f"  once more  {program('adaptdrive-sim')} demo {summary['demo']}"
     yield f"  next       {next_step()}"
 
 
@@ -285,24 +249,10 @@ def next_step() -> str:
     return f"{program()} init motor --device siemens-v20 --name pump   # README.md goes on"
 
 
-def _figure(session: Path) -> tuple[Path, int] | None:
-    """Draw the session from its start on; None where it cannot be drawn here.
-
-    Returns:
-        The figure, and the second of the session from which on the drive was enabled.
-    """
-    try:
-        from adaptdrive.analysis.figures import plot as plot_session  # noqa: PLC0415 - it is large
-
-        read = read_session(session)
-        first_s = read.ticks["monotonic_s"][0].as_py()
-        starts = (event.monotonic_s - first_s for event in read.events if event.kind == "state")
-        begin = max(0, math.ceil(next(starts, 0.0)))
-        return plot_session(session, begin)[0], begin
-    except (ImportError, AdaptdriveError, OSError, IndexError):
-        return None
+def program(name: str = "adaptdrive") -> str:
+    """Return the command for a program: its name, or its path if the name is not found."""
+    return name if shutil.which(name) else _short(Path(sys.executable).with_name(name))
 
 
 def _short(path: Path) -> str:
-    here = Path.cwd()
-    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
+    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)

@@ -5,13 +5,12 @@ from collections.abc import Callable
 import msgspec
 
 from adaptdrive.control.signals import Waveform
-from adaptdrive.mqtt import client, commands
+from adaptdrive.mqtt import commands
 from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive_sim.demo import DemoError
-from adaptdrive_sim.demo.stages import RealStage, VirtualStage
-from adaptdrive_sim.demo.story import DemoRecord, Scene, Story
+from adaptdrive_sim.demo.stage import Stage
+from adaptdrive_sim.demo.story import Scene
 
-START_s = 60.0
 RUNNING_s = 30.0
 NEAR_s = 60.0
 SEEN_s = 3.0
@@ -40,21 +39,14 @@ class Player:
         paused: Whether the story is held.
     """
 
-    def __init__(
-        self,
-        story: Story,
-        stage: RealStage | VirtualStage,
-        record: DemoRecord,
-        duration_s: float | None,
-    ) -> None:
+    def __init__(self, stage: Stage, duration_s: float | None) -> None:
         self.say = "The drive starts: its capacitor is charged."
         self.at_s = 0.0
         self.number = 0
-        self.duration_s = story.duration_s if duration_s is None else duration_s
+        self.duration_s = stage.story.duration_s if duration_s is None else duration_s
         self.paused = False
-        self._story = story
         self._stage = stage
-        self._record = record
+        self._story, self._record = stage.story, stage.record
         self._ready = False
         self._wave: Waveform | None = None
         self._wave_s = self._asked_s = 0.0
@@ -155,7 +147,7 @@ class Player:
             if scene.disturb is not None:
                 await self._disturb(scene.disturb)
             await self._carry_out(scene)
-        except (DemoError, client.NoAnswerError):
+        except DemoError:
             self._ready = not self._record.running
 
     def _begin_again(self) -> None:
@@ -170,10 +162,10 @@ class Player:
     async def _try_to_prepare(self) -> None:
         try:
             await self._prepare()
-        except (DemoError, client.NoAnswerError) as problem:
+        except DemoError:
             self._failures += 1
             if self._failures == _ATTEMPTS:
-                raise DemoError(str(problem)) from problem
+                raise
             await self._stage.wait(_LOOK_s)
         else:
             self._ready, self._failures = True, 0
@@ -182,10 +174,6 @@ class Player:
         """Bring the drive to the conditions of the present scene, from whatever state it is in."""
         record = self._record
         held, disturbances = self._story.conditions(self.number)
-        measured = "the daemon receives no measurement"
-        await self._until(
-            lambda: record.live and record.fast.get("output") is not None, START_s, measured
-        )
         if record.trip:
             await self._until_reset()
         if not record.running:
