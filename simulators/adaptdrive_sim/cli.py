@@ -119,11 +119,11 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
             stays. Without it they land at rest and share its momentum, as in the paper.
     """
     from adaptdrive_sim.experiments import reproduce as run  # noqa: PLC0415  # keeps --help fast
-    from adaptdrive_sim.experiments.case import ReproduceRequest, disturbance_of  # noqa: PLC0415
+    from adaptdrive_sim.experiments.case import Case, disturbance_of  # noqa: PLC0415
 
     chosen = run.find_experiment(experiment, keep_speed=keep_speed)
     disturbance = disturbance_of(chosen.noise if noise is None else noise, spikes)
-    claims = run.run_request(ReproduceRequest(chosen, design, disturbance, seed), output)
+    claims = run.run_experiment(Case(chosen, design, disturbance, seed), output)
     run.print_claims(f"{experiment}, {design} design, seed {seed}: {output}", claims)
 
 

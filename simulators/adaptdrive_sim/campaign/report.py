@@ -18,13 +18,13 @@ from rich.table import Table
 
 from adaptdrive.analysis import figures
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.batteries import BatteryTrial
+from adaptdrive_sim.campaign.batteries import BatteryScenario
 from adaptdrive_sim.campaign.drawn import DrawnRun, Row
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.figure import CONTROLLERS, SYMBOLS, mark_in_force, minutes_of
 from adaptdrive_sim.experiments.reproduce import Claim, print_claims
 
-Trial = DrawnRun | BatteryTrial
+Trial = DrawnRun | BatteryScenario
 """The run of one seed, for as many controllers as are to run it."""
 
 # Judges a run by criteria that every load shares.

@@ -6,7 +6,6 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from adaptdrive.cli.options import Integer
 from adaptdrive.util.errors import AdaptdriveError, RefusedError
 
 SPEED_MAX = 1e6
@@ -26,16 +25,11 @@ class DemoSettings:
         duration_s: Seconds of the story; the whole story when left out. The last scene of a story
             lasts until then.
         headless: Show nothing; print one line of JSON at the end.
-        noise: Standard deviation of each sample of the output, in its unit; the story's own when
-            left out.
-        seed: Seed of the noise.
         speed: Times real time; the story's own when left out.
     """
 
     duration_s: Annotated[float | None, Parameter(name="--duration")] = None
     headless: Annotated[bool, Parameter(negative=())] = False
-    noise: float | None = None
-    seed: Integer = 0
     speed: float | None = None
 
     def check(self) -> None:
@@ -48,5 +42,3 @@ class DemoSettings:
             raise RefusedError(f"--duration {self.duration_s:g} must be at least 1 second")
         if self.speed is not None and not 0.0 < self.speed <= SPEED_MAX:
             raise RefusedError(f"--speed {self.speed:g} must lie above 0, and up to 1e6")
-        if self.noise is not None and not 0.0 <= self.noise <= 1.0:
-            raise RefusedError(f"--noise {self.noise:g} must lie in 0…1")

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -33,62 +34,38 @@ KEYS = ("q end", "space pause", "d disk", "f fixed", "a adaptive", "s STOP", "? 
 _DEPLOYED = " bus     adaptdrive start FILE --simulate FILE has broker, daemon and panel"
 
 
-class DemoView:
-    """Shows a record and its story, and acts on the keys of the story.
+def show(player: Player, size: tuple[int, int]) -> Layout:
+    """Return the whole screen.
 
-    Attributes:
-        help: Whether the help is shown.
+    Args:
+        player: The story.
+        size: Width and height of the terminal in characters.
     """
+    record = player.stage.record
+    drop = "d disk" if "disks" in record.truth else "d disturb"
+    around = ViewExtras(
+        keys=[drop if key == "d disk" else key for key in KEYS],
+        lead=_lead(player, size[0]),
+        tables=dict([story_table(record)]),
+        longest_s=record.story.window_s,
+        cover=_help(player.stage, size[0]) if player.help else None,
+        plant=False,
+    )
+    return screen(record, size, around)
 
-    def __init__(self, stage: Stage, player: Player) -> None:
-        """Prepare the view.
 
-        Args:
-            stage: Where the story is played.
-            player: The story.
-        """
-        self.help = False
-        self._record, self._player, self._stage = stage.record, player, stage
+def _lead(player: Player, width: int) -> list[Text]:
+    lines = wrap(player.say, max(20, width - 2))[:2]
+    position = Text(f" {player.position}", "bold cyan")
+    return [position, *(Text(f" {line}", "italic") for line in lines)]
 
-    def takes(self, key: str) -> terminal.KeyCommand | bool:
-        """Act on a key of the story; return its disturbance, or whether it was such a key."""
-        match key:
-            case " ":
-                self._player.toggle()
-            case "?":
-                self.help = not self.help
-            case "d":
-                return self._player.dropped() or True
-            case "s" | "S":
-                self._player.hold("The drive was stopped.")
-                return False
-        return key in " ?"
 
-    def screen(self, size: tuple[int, int]) -> Layout:
-        """Return the whole screen for a terminal of some width and height."""
-        drop = "d disk" if "disks" in self._record.truth else "d disturb"
-        around = ViewExtras(
-            keys=[drop if key == "d disk" else key for key in KEYS],
-            lead=self._lead(size[0]),
-            tables=dict([story_table(self._record)]),
-            longest_s=self._record.story.window_s,
-            cover=self._help(size[0]) if self.help else None,
-            plant=False,
-        )
-        return screen(self._record, size, around)
-
-    def _lead(self, width: int) -> list[Text]:
-        lines = wrap(self._player.say, max(20, width - 2))[:2]
-        position = Text(f" {self._player.position}", "bold cyan")
-        return [position, *(Text(f" {line}", "italic") for line in lines)]
-
-    def _help(self, width: int) -> Text:
-        """Return what else can be done."""
-        offered = self._record.features
-        digits = [f"{digit} {one.get('text')}" for digit, one in enumerate(offered, 1)]
-        lines = [*flow(digits, width), *flow(DRIVE_KEYS[:-1], width)]
-        lines += [f" time    {self._stage.speed:g} times real time, in one process", _DEPLOYED]
-        return Text("\n".join(lines), DIM, no_wrap=True, overflow="ellipsis")
+def _help(stage: Stage, width: int) -> Text:
+    """Return what else can be done."""
+    digits = [f"{digit} {one.get('text')}" for digit, one in enumerate(stage.record.features, 1)]
+    lines = [*flow(digits, width), *flow(DRIVE_KEYS[:-1], width)]
+    lines += [f" time    {stage.speed:g} times real time, in one process", _DEPLOYED]
+    return Text("\n".join(lines), DIM, no_wrap=True, overflow="ellipsis")
 
 
 def story_table(record: DemoRecord) -> tuple[str, Table]:
@@ -143,30 +120,28 @@ def run_demo(name: str, settings: DemoSettings) -> int:
 
 async def _play(story: Story, settings: DemoSettings) -> Summary:
     """Play a story to its end, and return its figures."""
-    stage, problem = Stage(story, settings), ""
+    stage, problem = Stage(story, settings.speed), ""
     player = Player(stage, settings.duration_s)
-    view = DemoView(stage, player)
-    show = None if settings.headless else view.screen
+    shown = None if settings.headless else partial(show, player)
     try:
         with suppress(KeyboardInterrupt):
-            await run_view(stage.record, stage.ask, [player.run()], show, view.takes)
+            await run_view(stage.record, stage.ask, [player.run()], shown, player.takes)
     except DemoError as failure:
         problem = str(failure)
-    summary = summarise(stage, player, problem)
+    summary = summarise(player, problem)
     if not settings.headless:
         show_end(stage.record, summary)
     return summary
 
 
-def summarise(stage: Stage, player: Player, failure: str) -> Summary:
+def summarise(player: Player, failure: str) -> Summary:
     """Return everything worth knowing at the end, as one flat object for JSON.
 
     Args:
-        stage: Where the story was played.
         player: The story.
         failure: What ended the demonstration early; empty when nothing did.
     """
-    record = stage.record
+    stage, record = player.stage, player.stage.record
     problems = [failure] if failure else list(_problems(record, player))
     return {
         "demo": record.story.name,

@@ -37,6 +37,8 @@ class Player:
         number: The present scene, counted from 0.
         duration_s: Time of the story at which it ends.
         paused: Whether the story is held.
+        stage: Where it is played.
+        help: Whether the viewer has asked for help.
     """
 
     def __init__(self, stage: Stage, duration_s: float | None) -> None:
@@ -45,7 +47,7 @@ class Player:
         self.number = 0
         self.duration_s = stage.story.duration_s if duration_s is None else duration_s
         self.paused = False
-        self._stage = stage
+        self.stage, self.help = stage, False
         self._story, self._record = stage.story, stage.record
         self._ready = False
         self._wave: Waveform | None = None
@@ -97,6 +99,20 @@ class Player:
         """Pause the story because somebody else operates the drive."""
         self.paused, self.say = True, f"{why} The story is paused; space continues it."
 
+    def takes(self, key: str) -> KeyCommand | bool:
+        """Act on a key of the story; return its disturbance, or whether it was such a key."""
+        match key:
+            case " ":
+                self.toggle()
+            case "?":
+                self.help = not self.help
+            case "d":
+                return self.dropped() or True
+            case "s" | "S":
+                self.hold("The drive was stopped.")
+                return False
+        return key in " ?"
+
     def dropped(self) -> KeyCommand | None:
         """Return the next disturbance of the key `d`, which changes the load."""
         for _ in self._story.drop:
@@ -117,11 +133,11 @@ class Player:
         return min([self.duration_s, *later]) - self.at_s
 
     async def _pass_time(self) -> None:
-        before_s = self._stage.time_s
-        await self._stage.wait(_LOOK_s if self.paused else self._next_s)
+        before_s = self.stage.time_s
+        await self.stage.wait(_LOOK_s if self.paused else self._next_s)
         if self.paused or not self._ready:
             return
-        self.at_s += self._stage.time_s - before_s
+        self.at_s += self.stage.time_s - before_s
         if why := self._other_operator():
             self.hold(why)
             return
@@ -133,7 +149,7 @@ class Player:
     def _other_operator(self) -> str:
         """Return what somebody else has done to the drive, empty for nothing."""
         state = self._record.state
-        if self._stage.time_s - self._asked_s < SEEN_s or self._record.completed:
+        if self.stage.time_s - self._asked_s < SEEN_s or self._record.completed:
             return ""
         if state.get("state") in {"standby", "stopping"}:
             return "The drive was stopped."
@@ -166,7 +182,7 @@ class Player:
             self._failures += 1
             if self._failures == _ATTEMPTS:
                 raise
-            await self._stage.wait(_LOOK_s)
+            await self.stage.wait(_LOOK_s)
         else:
             self._ready, self._failures = True, 0
 
@@ -189,17 +205,17 @@ class Player:
 
     async def _until_reset(self) -> None:
         """Reset as soon as the cause is gone and the drive has confirmed its stop."""
-        end_s = self._stage.time_s + RUNNING_s
-        while not (await self._stage.ask(KeyCommand("reset"))).accepted:
+        end_s = self.stage.time_s + RUNNING_s
+        while not (await self.stage.ask(KeyCommand("reset"))).accepted:
             await self._pause_a_moment(end_s, "the trip cannot be reset")
         await self._until(lambda: not self._record.trip, RUNNING_s, "the trip stays")
 
     async def _come_near(self, wave: Waveform) -> None:
         """Wait until the output is near the wave, or for so long that it never will be."""
-        end_s = self._stage.time_s + NEAR_s
+        end_s = self.stage.time_s + NEAR_s
         room = _NEAR * (wave.high - wave.low)
         while abs(commands.number(self._record.fast.get("output")) - wave.low) > room:
-            if self._stage.time_s > end_s:
+            if self.stage.time_s > end_s:
                 return
             await self._pause_a_moment(float("inf"), "")
 
@@ -215,7 +231,7 @@ class Player:
             self._wave = None
         if (wave := scene.waveform) is not None:
             await self._order("waveform", msgspec.to_builtins(wave))
-            self._wave, self._wave_s = wave, self._stage.time_s
+            self._wave, self._wave_s = wave, self.stage.time_s
             self._record.halves.begin(wave.low)
             self._align(self._farthest)
 
@@ -230,10 +246,10 @@ class Player:
 
     async def _order(self, verb: str, value: object = None) -> None:
         await self._accepted(KeyCommand(verb, value))
-        self._asked_s = self._stage.time_s
+        self._asked_s = self.stage.time_s
 
     async def _accepted(self, command: KeyCommand) -> None:
-        reply = await self._stage.ask(command)
+        reply = await self.stage.ask(command)
         if not reply.accepted:
             raise DemoError(f"{command.text} was refused: {reply.reason}")
 
@@ -247,22 +263,22 @@ class Player:
             return
         period_s = self._wave.period_s
         began_s = next(s.at_s for s in self._story.scenes if s.waveform == self._wave)
-        ahead_s = (self.at_s - began_s - (self._stage.time_s - self._wave_s)) % period_s
+        ahead_s = (self.at_s - began_s - (self.stage.time_s - self._wave_s)) % period_s
         forward_s = (period_s - ahead_s) % period_s
         forward = forward_s < farthest * period_s or self.at_s - ahead_s < began_s
         self.at_s += forward_s if forward else -ahead_s
 
     async def _until(self, condition: Callable[[], bool], longest_s: float, problem: str) -> None:
-        end_s = self._stage.time_s + longest_s
+        end_s = self.stage.time_s + longest_s
         while not condition():
             await self._pause_a_moment(end_s, f"{problem} within {longest_s:g} s")
 
     async def _pause_a_moment(self, end_s: float, problem: str) -> None:
         if self.paused:
             raise DemoError("the story is paused")
-        if self._stage.time_s > end_s:
+        if self.stage.time_s > end_s:
             raise DemoError(problem)
-        await self._stage.wait(_LOOK_s)
+        await self.stage.wait(_LOOK_s)
 
 
 def _clock(time_s: float) -> str:

@@ -22,7 +22,6 @@ from adaptdrive.safety.trips import TripKind
 from adaptdrive.tui.terminal import KeyCommand
 from adaptdrive.util.errors import RefusedError
 from adaptdrive.util.quantity import MEASURED
-from adaptdrive_sim.demo import DemoSettings
 from adaptdrive_sim.demo.story import DemoRecord, Story
 from adaptdrive_sim.device import DeviceSettings, build_world
 from adaptdrive_sim.devices.disturbances import answer, features_of
@@ -47,17 +46,21 @@ class Stage:
         speed: Times real time.
     """
 
-    def __init__(self, story: Story, settings: DemoSettings) -> None:
-        """Put the daemon's controller in front of the load of a story."""
+    def __init__(self, story: Story, speed: float | None = None) -> None:
+        """Put the daemon's controller in front of the load of a story.
+
+        Args:
+            story: What is played.
+            speed: Times real time; the story's own when left out.
+        """
         path = EXAMPLES / story.configuration
         configuration = file.validate_configuration(story.document(), path)
-        noise = story.noise if settings.noise is None else settings.noise
         begin_V = story.initial_voltage_V
-        device = DeviceSettings(noise_V=noise, seed=settings.seed, initial_voltage_V=begin_V)
+        device = DeviceSettings(noise_V=story.noise, initial_voltage_V=begin_V)
         self.story = story
         self.drive = OperatedDrive(configuration, build_world(configuration, device))
         self.record = DemoRecord(configuration.drive.name, time.monotonic, story=story)
-        self.speed = settings.speed or story.speed
+        self.speed = speed or story.speed
         self._profile = operator_profile(configuration)
         self._began = datetime.now(UTC)
         self._due_s = 0.0

@@ -10,7 +10,7 @@ import pytest
 
 from adaptdrive.runtime.requests import Disable
 from adaptdrive.safety.trips import Trip, TripKind
-from adaptdrive_sim.demo import DemoError, DemoSettings
+from adaptdrive_sim.demo import DemoError
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.stage import Stage
 from adaptdrive_sim.demo.story import read_story
@@ -26,8 +26,9 @@ class Theatre(Stage):
     """A stage that looks at the story after each step, and may do something."""
 
     def __init__(self, duration_s: float) -> None:
-        story = msgspec.structs.replace(read_story("braking"), duration_s=duration_s)
-        super().__init__(story, DemoSettings(speed=1e6, noise=0.0))
+        story = read_story("braking")
+        quiet = msgspec.structs.replace(story, duration_s=duration_s, noise=0.0)
+        super().__init__(quiet, speed=1e6)
         self.said: list[str] = []
         self.looks: list[Callable[[Player], None]] = [self._listen]
         self.player = Player(self, None)
