@@ -89,13 +89,9 @@ Job = Callable[[], Coroutine[Any, Any, None]]
 _CAN_KEYS = {"interface": "interface", "channel": "channel", "port": "udp_port"}
 _TCP_KEYS = {"channel": "host", "port": "port"}
 
-KINDS: dict[
-    str,
-    tuple[
-        Callable[[drives.SimulatedDrive, root.Configuration, Path], drives.DriveNode],
-        dict[str, str],
-    ],
-] = {
+Build = Callable[[drives.SimulatedDrive, root.Configuration, Path], drives.DriveNode]
+
+KINDS: dict[str, tuple[Build, dict[str, str]]] = {
     "can": (can.CanDrive, _CAN_KEYS),
     "canopen": (canopen.CanOpenDrive, _CAN_KEYS),
     "modbus-tcp": (modbus.ModbusDrive, _TCP_KEYS),
@@ -211,17 +207,16 @@ def build_world(configuration: root.Configuration, settings: DeviceSettings) -> 
         RefusedError: A setting cannot be read.
     """
     drive = configuration.drive
-    line = LineParameters(
-        frequency_Hz=drive.line_frequency_Hz,
-        drift_Hz=settings.line_drift_Hz,
-        voltage_V=drive.line_voltage_V,
-    )
     bidirectional = drive.kind == "bidirectional"
     boost = BoostParameters(drive.boost_capacitance_F, bidirectional=bidirectional)
-    noise = NoiseParameters(sigma=settings.noise_V)
-    stage = coupling_of(configuration)
-    load = load_of(configuration, settings.disks)
-    world = World(load, line=line, boost=boost, coupling=stage, noise=noise, seed=settings.seed)
+    world = World(
+        load_of(configuration, settings.disks),
+        line=LineParameters(drive.line_frequency_Hz, settings.line_drift_Hz, drive.line_voltage_V),
+        boost=boost,
+        coupling=coupling_of(configuration),
+        noise=NoiseParameters(settings.noise_V),
+        seed=settings.seed,
+    )
     if _holds_output(configuration):
         lag_s = controller_settings(configuration).rates.lag_ticks * drive.half_cycle_s
         world.boost = HeldOutput(boost, lag_s)

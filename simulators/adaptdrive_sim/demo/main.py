@@ -1,12 +1,12 @@
 """`adaptdrive-sim demo`: plays one story, shows it, and prints its figures."""
 
 import asyncio
+import math
 import os
 import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
@@ -18,14 +18,14 @@ from rich.layout import Layout
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.tui import run_view, terminal
+from adaptdrive.tui import Show, run_view, terminal
 from adaptdrive.tui.record import CONTROLLERS, plot
 from adaptdrive.tui.view import DIM, ViewExtras, figure, flow, rows, screen
 from adaptdrive.tui.view import KEYS as DRIVE_KEYS
-from adaptdrive_sim.demo import DemoError, DemoSettings
-from adaptdrive_sim.demo.player import Player
+from adaptdrive.util.errors import RefusedError
+from adaptdrive_sim.demo.player import DemoError, Player
 from adaptdrive_sim.demo.stage import Stage
-from adaptdrive_sim.demo.story import DemoRecord, Story, read_story
+from adaptdrive_sim.demo.story import DemoRecord, read_story
 
 # The view of a demonstration: that of `adaptdrive watch`, with the story and its table.
 
@@ -92,12 +92,18 @@ _PICTURE = (100, 18)
 Summary = dict[str, Any]
 
 
-def run_demo(name: str, settings: DemoSettings) -> int:
+_SPEED_MAX = 1e6
+"""Times real time: more than any machine reaches."""
+
+
+def run_demo(name: str, duration_s: float | None, *, headless: bool, speed: float | None) -> int:
     """Play a story and print its summary.
 
     Args:
         name: Name of the story.
-        settings: What is wanted; without a terminal it is headless anyway.
+        duration_s: Seconds of the story; the whole story when None.
+        headless: Show nothing; so it is without a terminal anyway.
+        speed: Times real time; the story's own when None.
 
     Returns:
         0 when control worked, 1 when it failed.
@@ -105,33 +111,33 @@ def run_demo(name: str, settings: DemoSettings) -> int:
     Raises:
         AdaptdriveError: It could not begin.
     """
-    story = read_story(name)
-    settings.check()
-    seen = sys.stdout.isatty() and sys.stdin.isatty() and not settings.headless
+    if duration_s is not None and not 1.0 <= duration_s < math.inf:
+        raise RefusedError(f"--duration {duration_s:g} must be at least 1 second")
+    if speed is not None and not 0.0 < speed <= _SPEED_MAX:
+        raise RefusedError(f"--speed {speed:g} must lie above 0, and up to 1e6")
+    seen = sys.stdout.isatty() and sys.stdin.isatty() and not headless
     if seen:
         terminal.refuse_dumb_terminal()
-    summary = asyncio.run(_play(story, replace(settings, headless=not seen)))
-    if not seen:
+    player = Player(Stage(read_story(name), speed), duration_s)
+    summary = asyncio.run(_play(player, partial(show, player) if seen else None))
+    if seen:
+        show_end(player.stage.record, summary)
+    else:
         sys.stdout.write(msgspec.json.encode(summary).decode() + "\n")
     if not summary["ok"]:
         sys.stderr.write(f"adaptdrive-sim: {summary['reason']}\n")
     return 0 if summary["ok"] else 1
 
 
-async def _play(story: Story, settings: DemoSettings) -> Summary:
+async def _play(player: Player, shown: Show | None) -> Summary:
     """Play a story to its end, and return its figures."""
-    stage, problem = Stage(story, settings.speed), ""
-    player = Player(stage, settings.duration_s)
-    shown = None if settings.headless else partial(show, player)
+    stage, problem = player.stage, ""
     try:
         with suppress(KeyboardInterrupt):
             await run_view(stage.record, stage.ask, [player.run()], shown, player.takes)
     except DemoError as failure:
         problem = str(failure)
-    summary = summarise(player, problem)
-    if not settings.headless:
-        show_end(stage.record, summary)
-    return summary
+    return summarise(player, problem)
 
 
 def summarise(player: Player, failure: str) -> Summary:

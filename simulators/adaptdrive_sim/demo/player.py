@@ -7,7 +7,7 @@ import msgspec
 from adaptdrive.control.signals import Waveform
 from adaptdrive.mqtt import commands
 from adaptdrive.tui.terminal import KeyCommand
-from adaptdrive_sim.demo import DemoError
+from adaptdrive.util.errors import AdaptdriveError
 from adaptdrive_sim.demo.stage import Stage
 from adaptdrive_sim.demo.story import Scene
 
@@ -23,6 +23,10 @@ _ATTEMPTS = 5
 """Attempts in a row to bring the drive to a scene."""
 
 _LOOK_s = 0.1
+
+
+class DemoError(AdaptdriveError):
+    """The demonstration cannot continue; the message gives the reason."""
 
 
 class Player:

@@ -10,8 +10,7 @@ import pytest
 
 from adaptdrive.runtime.requests import Disable
 from adaptdrive.safety.trips import Trip, TripKind
-from adaptdrive_sim.demo import DemoError
-from adaptdrive_sim.demo.player import Player
+from adaptdrive_sim.demo.player import DemoError, Player
 from adaptdrive_sim.demo.stage import Stage
 from adaptdrive_sim.demo.story import read_story
 from tests.support import sample

@@ -9,8 +9,7 @@ import pytest
 from rich.console import Console
 
 from adaptdrive.util.errors import RefusedError
-from adaptdrive_sim.demo import DemoSettings
-from adaptdrive_sim.demo.main import KEYS, show, summarise
+from adaptdrive_sim.demo.main import KEYS, run_demo, show, summarise
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.stage import Stage
 from adaptdrive_sim.demo.story import Story, read_story, story_names
@@ -126,8 +125,16 @@ def test_the_adaptive_bath_overshoots_less_than_the_fixed_one() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings", [DemoSettings(speed=0.0), DemoSettings(speed=2e6), DemoSettings(duration_s=0.0)]
+    ("name", "duration_s", "speed", "flaw"),
+    [
+        ("motor", None, 0.0, "--speed 0"),
+        ("motor", None, 2e6, r"--speed 2e\+06"),
+        ("motor", 0.0, None, "--duration 0"),
+        ("kettle", None, None, "'kettle' is no story; there are bath, battery, braking, motor"),
+    ],
 )
-def test_a_story_refuses_what_cannot_be_done(settings: DemoSettings) -> None:
-    with pytest.raises(RefusedError, match="--"):
-        settings.check()
+def test_what_cannot_be_done_is_refused(
+    name: str, duration_s: float | None, speed: float | None, flaw: str
+) -> None:
+    with pytest.raises(RefusedError, match=flaw):
+        run_demo(name, duration_s, headless=True, speed=speed)
