@@ -38,7 +38,6 @@ class DeviceSettings:
         broker: HOST:PORT of an MQTT broker for disturbances; none when left out.
         noise_V: Standard deviation of each sample of the output, in the unit of the output.
         seed: Seed of the noise.
-        disks: Disks on the shaft of a motor; one when left out.
         initial_voltage_V: Start at rest at this boost voltage instead of at standstill.
         command_timeout_s: Age of the last command, in seconds, at which it shuts down;
             `bus.command_timeout_s` when left out, or 0.1.
@@ -52,7 +51,6 @@ class DeviceSettings:
     broker: str | None = None
     noise_V: Annotated[float, Parameter(name="--noise")] = 0.0
     seed: Integer = 0
-    disks: Integer | None = None
     initial_voltage_V: Annotated[float | None, Parameter(name="--initial-voltage")] = None
     command_timeout_s: Annotated[float | None, Parameter(name="--command-timeout")] = None
     boost_needs_bridge: bool = False
@@ -210,7 +208,7 @@ def build_world(configuration: root.Configuration, settings: DeviceSettings) -> 
     bidirectional = drive.kind == "bidirectional"
     boost = BoostParameters(drive.boost_capacitance_F, bidirectional=bidirectional)
     world = World(
-        load_of(configuration, settings.disks),
+        load_of(configuration),
         line=LineParameters(drive.line_frequency_Hz, settings.line_drift_Hz, drive.line_voltage_V),
         boost=boost,
         coupling=coupling_of(configuration),

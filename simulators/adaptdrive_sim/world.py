@@ -59,25 +59,22 @@ _CELL_MAX_V = 4.10
 """Highest voltage to which a cell is charged."""
 
 
-def load_of(configuration: Configuration, disks: int | None = None) -> SimulatedLoad:
+def load_of(configuration: Configuration) -> SimulatedLoad:
     """Build the load of a configuration.
 
     Args:
         configuration: `[load]` and `[simulation]`.
-        disks: Disks on the shaft of a motor, None for one.
 
     Raises:
         ParameterError: A parameter lies outside its range.
-        RefusedError: `[simulation.parameters]` or the number of disks does not fit the load.
+        RefusedError: `[simulation.parameters]` does not fit the load.
     """
     section, stage = configuration.load, coupling_of(configuration)
     given = _split(configuration.simulation.parameters)[1]
-    if disks is not None and not isinstance(section, MotorSection):
-        raise RefusedError(f"--disks {disks}: a {section.type} has no shaft")
     match section:
         case MotorSection(model=model):
             known = _motor(_with(motor.MotorParameters(), given), model, stage)
-            return motor.Motor(_with(known, given), 1 if disks is None else disks)
+            return motor.Motor(_with(known, given))
         case BathSection(model=model):
             return bath.Bath(_with(_bath(model), given))
         case BatterySection():
