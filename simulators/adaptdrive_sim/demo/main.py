@@ -91,7 +91,6 @@ _PICTURE = (100, 18)
 
 Summary = dict[str, Any]
 
-
 _SPEED_MAX = 1e6
 """Times real time: more than any machine reaches."""
 
@@ -164,7 +163,6 @@ def summarise(player: Player, failure: str) -> Summary:
         "values": {name: round(value, 4) for name, value in record.values.items()},
         "estimates": record.load.get("estimates"),
         "truth": {name: record.truth.get(name) for name in record.load.get("estimates") or ()},
-        "virtual_time": True,
         "speed": stage.speed,
     }
 

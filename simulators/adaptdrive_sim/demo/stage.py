@@ -30,10 +30,9 @@ from adaptdrive_sim.site import OperatedDrive
 
 _SLICE_s = 0.02
 _BREAK_s = 0.005
-
 _REPORT_TICKS = 240
 _SHOWN_s = 0.5
-"""Longest time of the viewer between two reports, which also are that many half cycles at most."""
+"""Time of the viewer between two reports, where that is less than so many half cycles."""
 
 
 class Stage:
