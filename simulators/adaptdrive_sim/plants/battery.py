@@ -51,8 +51,15 @@ class Battery:
         relaxed_V: Voltages of the relaxation elements.
     """
 
-    def __init__(self, parameters: BatteryParameters) -> None:
+    def __init__(self, parameters: BatteryParameters, cell_V: tuple[float, ...] = CELL_V) -> None:
+        """Fill a battery.
+
+        Args:
+            parameters: Cells, and what stands between them and the terminals.
+            cell_V: Open-circuit voltage of a cell at equal steps of its charge, from empty to full.
+        """
         self.parameters = parameters
+        self.cell_V = cell_V
         self.cells = float(parameters.cells)
         self.resistance_Ohm = parameters.series_Ohm
         self.output = 0.0
@@ -62,9 +69,9 @@ class Battery:
     @property
     def open_circuit_V(self) -> float:
         """Terminal voltage after a long rest."""
-        steps = len(CELL_V) - 1
+        steps = len(self.cell_V) - 1
         segment = min(max(int(steps * self.charge), 0), steps - 1)
-        low, high = CELL_V[segment], CELL_V[segment + 1]
+        low, high = self.cell_V[segment], self.cell_V[segment + 1]
         return self.cells * (low + (high - low) * (steps * self.charge - segment))
 
     @property
