@@ -28,7 +28,6 @@ help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
 
 demo: $(demonstrable) ## watch the motor being held while disks drop onto its shaft
-	@echo "2 of 3: starting a broker, a simulated drive and the daemon, some seconds"
 	@$(bin)/adaptdrive-sim demo motor
 
 test: $(installed) peers ## run the test suite, in about five minutes on two processors
@@ -110,7 +109,7 @@ usable := import pip, sys; sys.exit(sys.version_info < (3, 11) or "$(asked)" not
 
 define install # of extras, which are so many packages
 	@$(PYTHON) -c '$(new_enough)'
-	@echo "1 of 3: installing $(2), once"
+	@echo "installing $(2), once"
 	@$(bin)/python -c '$(usable)' 2>/dev/null || { rm -rf $(venv); $(PYTHON) -m venv $(venv); }
 	@tools/install-packages $(bin)/python '$(1)'
 	@rm -rf $(venv)/lib/python*/site-packages/adaptdrive_sim # a copy, which would hide the source

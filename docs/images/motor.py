@@ -16,14 +16,8 @@ from matplotlib.figure import Figure
 
 from adaptdrive.analysis import figures
 from adaptdrive_sim.course import Run
-from adaptdrive_sim.experiments.case import (
-    Case,
-    Variant,
-    case_settings,
-    run_case,
-)
+from adaptdrive_sim.experiments.case import Case, Variant, run_case
 from adaptdrive_sim.experiments.experiment import MOTOR
-from adaptdrive_sim.experiments.figure import save
 from adaptdrive_sim.world import NoiseParameters
 
 FIRST_min, LAST_min = 8.0, 20.0
@@ -31,8 +25,7 @@ FIRST_min, LAST_min = 8.0, 20.0
 
 def run(variant: Variant) -> Run:
     """The standard experiment under one controller."""
-    settings = case_settings(MOTOR, variant, "exact")
-    return run_case(Case(MOTOR, variant, settings, NoiseParameters(MOTOR.noise), seed=0))
+    return run_case(Case(MOTOR, "exact", NoiseParameters(MOTOR.noise), 0, variant))
 
 
 def draw_speed(axes: Axes, record: Run, look: figures.Look, title: str) -> None:
@@ -77,7 +70,7 @@ def draw(fixed: Run, adaptive: Run, path: Path) -> None:
         axes[2].set_xlim(FIRST_min, LAST_min)
         axes[2].set_xlabel("time (min)")
         figure.align_ylabels(list(axes))
-        save(figure, path)
+        figure.savefig(path, dpi=figures.DPI, metadata={"Software": None})
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from cyclopts import App, Parameter
 
 import adaptdrive
 from adaptdrive.cli import FAILED, carry_out, options, print_error
-from adaptdrive_sim.demo import DemoSettings
 from adaptdrive_sim.device import DeviceSettings, parse_address
 
 app = App(
@@ -119,11 +118,11 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
             stays. Without it they land at rest and share its momentum, as in the paper.
     """
     from adaptdrive_sim.experiments import reproduce as run  # noqa: PLC0415  # keeps --help fast
-    from adaptdrive_sim.experiments.case import ReproduceRequest, disturbance_of  # noqa: PLC0415
+    from adaptdrive_sim.experiments.case import Case, disturbance_of  # noqa: PLC0415
 
     chosen = run.find_experiment(experiment, keep_speed=keep_speed)
     disturbance = disturbance_of(chosen.noise if noise is None else noise, spikes)
-    claims = run.run_request(ReproduceRequest(chosen, design, disturbance, seed), output)
+    claims = run.run_experiment(Case(chosen, design, disturbance, seed), output)
     run.print_claims(f"{experiment}, {design} design, seed {seed}: {output}", claims)
 
 
@@ -161,17 +160,26 @@ def campaign(  # noqa: PLR0913 - one parameter for each option
 
 
 @app.command(usage="Usage: adaptdrive-sim demo [OPTIONS] [STORY]")
-def demo(story: str = "motor", /, *, settings: DemoSettings | None = None) -> int:
+def demo(
+    story: str = "motor",
+    /,
+    *,
+    duration: float | None = None,
+    headless: Annotated[bool, Parameter(negative=())] = False,
+    speed: float | None = None,
+) -> int:
     """Watch a simulated drive being controlled while things happen to its load.
 
-    The story of the motor passes in real time: simulated drive, daemon and broker are processes on
-    a real bus. Others, such as bath, battery and braking, pass in virtual time, in one process. The
-    status is 0 when control worked and 1 when it failed.
+    The daemon's controller and a simulated load are one process, in which time passes as fast as
+    is asked for. The status is 0 when control worked and 1 when it failed.
 
     Args:
-        story: Name of the story; an unknown one lists them all.
-        settings: How it is played.
+        story: Name of the story, such as motor, bath or battery; an unknown one lists them all.
+        duration: Seconds of the story; the whole story when left out. The last scene of a story
+            lasts until then.
+        headless: Show nothing; print one line of JSON at the end.
+        speed: Times real time; the story's own when left out.
     """
     from adaptdrive_sim.demo.main import run_demo  # noqa: PLC0415  # keeps --help fast
 
-    return run_demo(story, settings or DemoSettings())
+    return run_demo(story, duration, headless=headless, speed=speed)

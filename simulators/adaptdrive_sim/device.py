@@ -5,7 +5,7 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,7 @@ from adaptdrive_sim.devices import drive as drives
 from adaptdrive_sim.devices.sensors import CanSensors, ModbusSensors, check_names
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import BoostParameters, HeldOutput, LineParameters
-from adaptdrive_sim.world import NoiseParameters, World, WorldParameters, coupling_of, load_of
+from adaptdrive_sim.world import NoiseParameters, World, coupling_of, load_of
 
 # Command-line settings of a simulated drive.
 
@@ -38,7 +38,6 @@ class DeviceSettings:
         broker: HOST:PORT of an MQTT broker for disturbances; none when left out.
         noise_V: Standard deviation of each sample of the output, in the unit of the output.
         seed: Seed of the noise.
-        disks: Disks on the shaft of a motor; one when left out.
         initial_voltage_V: Start at rest at this boost voltage instead of at standstill.
         command_timeout_s: Age of the last command, in seconds, at which it shuts down;
             `bus.command_timeout_s` when left out, or 0.1.
@@ -52,7 +51,6 @@ class DeviceSettings:
     broker: str | None = None
     noise_V: Annotated[float, Parameter(name="--noise")] = 0.0
     seed: Integer = 0
-    disks: Integer | None = None
     initial_voltage_V: Annotated[float | None, Parameter(name="--initial-voltage")] = None
     command_timeout_s: Annotated[float | None, Parameter(name="--command-timeout")] = None
     boost_needs_bridge: bool = False
@@ -86,33 +84,19 @@ OVERVOLTAGE_SHARE = 2.0 / 3.0
 Job = Callable[[], Coroutine[Any, Any, None]]
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceKind:
-    """The simulated devices of one kind of bus.
-
-    Attributes:
-        drive: Puts a drive on the bus of a configuration.
-        overrides: Key of `[bus]` that each option of the command line replaces.
-        sensors: Puts sensors on a bus, given its section and its place; None for no such kind.
-        times_commands: Whether the drive shuts down when commands stop; otherwise a heartbeat.
-    """
-
-    drive: Callable[[drives.SimulatedDrive, root.Configuration, Path], drives.DriveNode]
-    overrides: Mapping[str, str]
-    sensors: type[CanSensors | ModbusSensors] | None = None
-    times_commands: bool = True
-
-
 _CAN_KEYS = {"interface": "interface", "channel": "channel", "port": "udp_port"}
 _TCP_KEYS = {"channel": "host", "port": "port"}
 
-KINDS = {
-    "can": DeviceKind(can.CanDrive, _CAN_KEYS, CanSensors),
-    "canopen": DeviceKind(canopen.CanOpenDrive, _CAN_KEYS, times_commands=False),
-    "modbus-tcp": DeviceKind(modbus.ModbusDrive, _TCP_KEYS, ModbusSensors),
-    "modbus-rtu": DeviceKind(modbus.ModbusDrive, {"channel": "device"}, ModbusSensors),
-    "scpi": DeviceKind(scpi.ScpiDrive, _TCP_KEYS),
+Build = Callable[[drives.SimulatedDrive, root.Configuration, Path], drives.DriveNode]
+
+KINDS: dict[str, tuple[Build, dict[str, str]]] = {
+    "can": (can.CanDrive, _CAN_KEYS),
+    "canopen": (canopen.CanOpenDrive, _CAN_KEYS),
+    "modbus-tcp": (modbus.ModbusDrive, _TCP_KEYS),
+    "modbus-rtu": (modbus.ModbusDrive, {"channel": "device"}),
+    "scpi": (scpi.ScpiDrive, _TCP_KEYS),
 }
+"""What puts a drive on each kind of bus, and the key of `[bus]` that an option replaces."""
 
 
 def run_device(path: Path, settings: DeviceSettings) -> None:
@@ -123,7 +107,7 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
     """
     configuration = _overridden(file.load_configuration(path), settings)
     drive = build_drive(configuration, settings, report)
-    node = KINDS[configuration.bus.type].drive(drive, configuration, path)
+    node = KINDS[configuration.bus.type][0](drive, configuration, path)
     modules = build_sensors(configuration, drive, path)
     jobs: list[Job] = [partial(node.run, partial(_say_bus, "drive", configuration.drive.name))]
     for bus, one in zip(configuration.sensor_bus, modules, strict=True):
@@ -179,10 +163,9 @@ def _command_timeout_s(configuration: root.Configuration, settings: DeviceSettin
         RefusedError: The drive watches a heartbeat instead.
     """
     wanted_s = settings.command_timeout_s
-    if not KINDS[configuration.bus.type].times_commands:
+    if configuration.bus.type == "canopen":
         if wanted_s is not None:
-            kind = configuration.bus.type
-            raise RefusedError(f"--command-timeout {wanted_s:g}: {kind} watches a heartbeat")
+            raise RefusedError(f"--command-timeout {wanted_s:g}: canopen watches a heartbeat")
         return math.inf
     stated_s = configuration.bus.command_timeout_s
     if wanted_s is None and stated_s is not None:
@@ -206,12 +189,12 @@ def build_sensors(
     buses = configuration.sensor_bus
     check_names(buses, drive.world, path)
     drive.has_sensors = bool(buses)
-    found = []
-    for number, bus in enumerate(buses):
-        build = KINDS[bus.type].sensors
-        assert build is not None  # noqa: S101 - `AnySensorBus` has only kinds that can have sensors
-        found.append(build(drive, bus, f"sensor_bus.{number}", path))  # type: ignore[arg-type]  # its own section
-    return found
+    return [
+        CanSensors(drive, bus, f"sensor_bus.{number}", path)
+        if isinstance(bus, root.CanSensorSection)
+        else ModbusSensors(drive, bus)
+        for number, bus in enumerate(buses)
+    ]
 
 
 def build_world(configuration: root.Configuration, settings: DeviceSettings) -> World:
@@ -222,17 +205,16 @@ def build_world(configuration: root.Configuration, settings: DeviceSettings) -> 
         RefusedError: A setting cannot be read.
     """
     drive = configuration.drive
-    line = LineParameters(
-        frequency_Hz=drive.line_frequency_Hz,
-        drift_Hz=settings.line_drift_Hz,
-        voltage_V=drive.line_voltage_V,
-    )
     bidirectional = drive.kind == "bidirectional"
     boost = BoostParameters(drive.boost_capacitance_F, bidirectional=bidirectional)
-    noise = NoiseParameters(sigma=settings.noise_V)
-    stage = coupling_of(configuration)
-    parameters = WorldParameters(line, boost, stage, noise, seed=settings.seed)
-    world = World(load_of(configuration, settings.disks), parameters)
+    world = World(
+        load_of(configuration),
+        line=LineParameters(drive.line_frequency_Hz, settings.line_drift_Hz, drive.line_voltage_V),
+        boost=boost,
+        coupling=coupling_of(configuration),
+        noise=NoiseParameters(settings.noise_V),
+        seed=settings.seed,
+    )
     if _holds_output(configuration):
         lag_s = controller_settings(configuration).rates.lag_ticks * drive.half_cycle_s
         world.boost = HeldOutput(boost, lag_s)
@@ -258,7 +240,7 @@ def _overridden(configuration: root.Configuration, settings: DeviceSettings) -> 
     """Let the command line choose another bus."""
     if settings.port is not None:
         check_range("--port", settings.port, 1, 65535, "")
-    names = KINDS[configuration.bus.type].overrides
+    names = KINDS[configuration.bus.type][1]
     device = None if settings.channel is None else Path(settings.channel)
     given = {
         "interface": settings.interface,

@@ -14,7 +14,7 @@ motor's armature, is that of the reference load, or is named in `[simulation.par
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from typing import Any, Self, TypeVar
 
@@ -59,25 +59,22 @@ _CELL_MAX_V = 4.10
 """Highest voltage to which a cell is charged."""
 
 
-def load_of(configuration: Configuration, disks: int | None = None) -> SimulatedLoad:
+def load_of(configuration: Configuration) -> SimulatedLoad:
     """Build the load of a configuration.
 
     Args:
         configuration: `[load]` and `[simulation]`.
-        disks: Disks on the shaft of a motor, None for one.
 
     Raises:
         ParameterError: A parameter lies outside its range.
-        RefusedError: `[simulation.parameters]` or the number of disks does not fit the load.
+        RefusedError: `[simulation.parameters]` does not fit the load.
     """
     section, stage = configuration.load, coupling_of(configuration)
     given = _split(configuration.simulation.parameters)[1]
-    if disks is not None and not isinstance(section, MotorSection):
-        raise RefusedError(f"--disks {disks}: a {section.type} has no shaft")
     match section:
         case MotorSection(model=model):
             known = _motor(_with(motor.MotorParameters(), given), model, stage)
-            return motor.Motor(_with(known, given), 1 if disks is None else disks)
+            return motor.Motor(_with(known, given))
         case BathSection(model=model):
             return bath.Bath(_with(_bath(model), given))
         case BatterySection():
@@ -195,50 +192,44 @@ def samples(parameters: NoiseParameters, generator: np.random.Generator) -> Iter
 # The plant as a whole.
 
 
-@dataclass(frozen=True, slots=True)
-class WorldParameters:
-    """Everything but the load.
-
-    Attributes:
-        line: The ac line.
-        boost: The boost stage.
-        coupling: The dc/dc stage.
-        noise: Measurement noise of the output.
-        seed: Seed of the noise.
-    """
-
-    line: LineParameters = field(default_factory=LineParameters)
-    boost: BoostParameters = field(default_factory=BoostParameters)
-    coupling: CouplingParameters = field(default_factory=CouplingParameters)
-    noise: NoiseParameters = field(default_factory=NoiseParameters)
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_range("seed", self.seed, 0, SEED_MAX, "")
-
-
 class World:
     """Line, boost stage, dc/dc stage and load."""
 
-    def __init__(self, load: SimulatedLoad, parameters: WorldParameters | None = None) -> None:
+    def __init__(  # noqa: PLR0913 - one parameter for each part
+        self,
+        load: SimulatedLoad,
+        *,
+        line: LineParameters | None = None,
+        boost: BoostParameters | None = None,
+        coupling: CouplingParameters | None = None,
+        noise: NoiseParameters | None = None,
+        seed: int = 0,
+    ) -> None:
         """Join a load to a drive whose capacitor is charged to the line's peak.
 
         Args:
             load: Any simulated load, in whatever state it is.
-            parameters: The drive; the reference plant when left out.
+            line: The ac line; that of the reference plant when left out, as are the others.
+            boost: The boost stage.
+            coupling: The dc/dc stage.
+            noise: Measurement noise of the output; none when left out.
+            seed: Seed of the noise.
+
+        Raises:
+            ParameterError: The seed lies outside its range.
         """
-        self.parameters = parameters or WorldParameters()
+        check_range("seed", seed, 0, SEED_MAX, "")
         self.load = load
-        self.line = Line(self.parameters.line)
-        self.coupling = self.parameters.coupling
-        self.boost = Boost(self.parameters.boost, self.parameters.line.voltage_V * 2.0**0.5)
+        self.line = Line(line or LineParameters())
+        self.coupling = coupling or CouplingParameters()
+        self.boost = Boost(boost or BoostParameters(), self.line.voltage_V * 2.0**0.5)
         self.tick = 0
         self.load_current_A = 0.0
         self.current_scale_S = 0.0
         self.bridge = False
         self.sensor_fault = 0
-        self._generator = np.random.default_rng(self.parameters.seed)
-        self.set_noise(self.parameters.noise)
+        self._generator = np.random.default_rng(seed)
+        self.set_noise(noise or NoiseParameters())
 
     def set_noise(self, noise: NoiseParameters) -> None:
         """Let the measurement of the output have a noise from now on."""
@@ -332,7 +323,7 @@ class World:
         drawn = self.coupling.draw(emf_V, load.resistance_Ohm) if self.bridge else (0.0, 0.0)
         end_V = boost.advance(self.current_scale_S, line_V, drawn, duration_s)
         source_V = self.coupling.ratio * boost.mean_voltage_V
-        if self.bridge and (source_V > emf_V or self.parameters.boost.bidirectional):
+        if self.bridge and (source_V > emf_V or boost.parameters.bidirectional):
             self.load_current_A = load.drive(source_V, self.coupling.droop_Ohm, duration_s)
         else:
             load.coast(duration_s)

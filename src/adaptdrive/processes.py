@@ -4,7 +4,7 @@ Each gets a separate session, so that Ctrl-C on the terminal reaches this proces
 then ends them one by one; and it is tied to this process, so that none outlives it however it dies.
 
 `python -m adaptdrive.processes HOST:PORT [WEBSOCKET_HOST:PORT]` is the embedded broker. It
-implements MQTT 3.1.1, keeps nothing on disk and needs no password: for demonstrations and desks.
+implements MQTT 3.1.1, keeps nothing on disk and needs no password: for desks.
 """
 
 import asyncio
@@ -37,15 +37,14 @@ class Ports:
     def __init__(self) -> None:
         self._held = ExitStack()
 
-    def take(self, kind: socket.SocketKind = socket.SOCK_STREAM, usual: int = 0) -> int:
-        """Return a free port.
+    def take(self, usual: int = 0) -> int:
+        """Return a free TCP port.
 
         Args:
-            kind: Of TCP or UDP.
             usual: The port to take where it is free and no other program is taking it; any when 0.
         """
         usual = usual if usual and self._reserve(usual) else 0
-        probe = self._held.enter_context(socket.socket(socket.AF_INET, kind))
+        probe = self._held.enter_context(socket.socket(socket.AF_INET))
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((HOST, usual))
@@ -180,10 +179,6 @@ class ProcessGroup:
     def names(self) -> list[str]:
         """The names of all, in the order of their end."""
         return [child.name for child in reversed(self._children)]
-
-    def has(self, name: str) -> bool:
-        """Return whether a process of that name was started."""
-        return any(child.name == name for child in self._children)
 
     async def run_in_front(self, module: str, arguments: Sequence[str]) -> int:
         """Run `python -m MODULE ARGUMENTS` on this terminal to its end, or until cancelled.

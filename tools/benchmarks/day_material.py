@@ -21,7 +21,7 @@ from adaptdrive.recording.records import EventRow, Ticks
 from adaptdrive.runtime.reports import MONOTONIC, LoadReport, State, TickReport
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetWaveform
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.world import NoiseParameters, World, WorldParameters, load_of
+from adaptdrive_sim.world import NoiseParameters, World, load_of
 from tests.unit.recording.material import Batch, make_batch
 
 CONFIG = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
@@ -78,7 +78,7 @@ def stretch(seconds: int) -> list[Batch]:
 
 def _started() -> _Drive:
     configuration = load_configuration(CONFIG)
-    world = World(load_of(configuration), WorldParameters(noise=NoiseParameters(_NOISE)))
+    world = World(load_of(configuration), noise=NoiseParameters(_NOISE))
     world.settle(world.boost_voltage_for(_WAVE.low))
     drive = _Drive(configuration, world)
     drive.fast, drive.steps = [], []

@@ -38,7 +38,7 @@ from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.wire import Wire
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import World
 from tools.benchmarks.seeds import over_seeds
 
 Array = NDArray[np.float64]
@@ -109,7 +109,7 @@ def run(drawn: Drawn, mode: Mode) -> Run:
     sizes = np.where(times >= drawn.change_s, 2.0, 1.0)
     wire = Wire([LOW], RESOLUTION, 0.1, 1.0)
     course = Course(references, sizes, noise, mode, POLE)
-    world = World(Motor(drawn.motor), WorldParameters())
+    world = World(Motor(drawn.motor))
     controller = Controller(drawn.settings, drawn.load)
     found = Site(controller, world, wire).run(course)
     assert found.interlock == 0, (drawn.seed, found.interlock)

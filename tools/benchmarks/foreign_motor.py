@@ -21,7 +21,7 @@ from adaptdrive.control.signals import Mode, Shape, Waveform
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.plants.boost import BoostParameters, LineParameters
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World
 from tests.integration.closed_loop.life import (
     CYCLE_S,
     HIGH,
@@ -187,12 +187,10 @@ def run(drawn: Drawn, changes: dict[str, dict[str, Any]] | None = None) -> tuple
 def _world(motor: ForeignMotor, seed: int) -> World:
     world = Sensed(
         motor,  # type: ignore[arg-type]  # another plant than the simulator's own
-        WorldParameters(
-            line=LineParameters(frequency_Hz=59.94, voltage_V=119.3),
-            boost=BoostParameters(capacitance_F=1.05e-3),
-            noise=NoiseParameters(sigma=NOISE_V),
-            seed=seed,
-        ),
+        line=LineParameters(frequency_Hz=59.94, voltage_V=119.3),
+        boost=BoostParameters(capacitance_F=1.05e-3),
+        noise=NoiseParameters(sigma=NOISE_V),
+        seed=seed,
     )
     world.quantum = QUANTUM_V
     world.settle(world.boost_voltage_for(LOW))

@@ -20,7 +20,7 @@ from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.reports import LoadReport, State, TickReport
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetVoltage, SetWaveform
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.world import NoiseParameters, World, WorldParameters, load_of
+from adaptdrive_sim.world import NoiseParameters, World, load_of
 from tests.unit.recording.material import INFO, make_batch, record_messages
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
@@ -80,7 +80,7 @@ def replay_all(folder: Path) -> bool:
 
 def _drive(configuration: Configuration, first: float) -> RecordedDrive:
     noise = NoiseParameters(sigma=NOISE * first)
-    world = World(load_of(configuration), WorldParameters(noise=noise))
+    world = World(load_of(configuration), noise=noise)
     world.settle(world.boost_voltage_for(first))
     return RecordedDrive(configuration, world)
 

@@ -10,7 +10,6 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -22,12 +21,12 @@ from adaptdrive_sim.parameters import SEED_MAX, check_range
 
 AnyCampaign = settings.Campaign | settings.BathCampaign | batteries.BatteryCampaign
 
-_TYPES: dict[str, tuple[type[AnyCampaign], Callable[..., report.Trial], Callable[..., Any]]] = {
-    "motor": (settings.Campaign, stands.Stand, stands.draw),
-    "bath": (settings.BathCampaign, stands.BathStand, stands.draw_bath),
-    "battery": (batteries.BatteryCampaign, batteries.BatteryTrial, batteries.draw_battery),
+_TYPES: dict[str, tuple[type[AnyCampaign], Callable[..., report.Trial]]] = {
+    "motor": (settings.Campaign, lambda *given: stands.Stand(stands.draw(*given))),
+    "bath": (settings.BathCampaign, lambda *given: stands.BathStand(stands.draw_bath(*given))),
+    "battery": (batteries.BatteryCampaign, batteries.draw_battery),
 }
-"""Contents of a file, a run of it, and the function that draws the scenario of a run."""
+"""Contents of a file, and what makes the run of a campaign that a seed stands for."""
 
 
 def read_any_campaign(path: Path) -> AnyCampaign:
@@ -39,15 +38,9 @@ def read_any_campaign(path: Path) -> AnyCampaign:
     return settings.read_campaign_of(path, {name: one[0] for name, one in _TYPES.items()})
 
 
-def trial_of(campaign: AnyCampaign, seed: int) -> report.Trial:
-    """Return the run of a campaign that a seed stands for."""
-    _, trial, draw_scenario = _TYPES[campaign.type]
-    return trial(draw_scenario(campaign, seed))
-
-
 def run_seed(campaign: AnyCampaign, seed: int) -> drawn.Row:
     """Run one seed with both controllers and judge them: one row of the results."""
-    trial = trial_of(campaign, seed)
+    trial = _TYPES[campaign.type][1](campaign, seed)
     return report.judge(trial, trial.run(Mode.FIXED), trial.run(Mode.ADAPTIVE))
 
 
@@ -133,4 +126,4 @@ def repeat_run(path: Path, seed: int, output: Path) -> None:
     check_range("--only", seed, 0, SEED_MAX, "")
     output.mkdir(parents=True, exist_ok=True)
     campaign = read_any_campaign(path)
-    report.repeat(trial_of(campaign, seed), seed, output, Console())
+    report.repeat(_TYPES[campaign.type][1](campaign, seed), seed, output, Console())

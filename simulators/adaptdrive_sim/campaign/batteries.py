@@ -5,7 +5,7 @@ The whole machine of the daemon runs, as a charge begins below the EMF and may e
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from adaptdrive_sim.campaign.settings import CampaignFile, CampaignTable, LineRa
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.boost import CouplingParameters, LineParameters
-from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World
 
 _BEGINS_s = 60.0
 _NEAR_LIMIT = 0.99
@@ -92,7 +92,11 @@ class BatteryCampaign(CampaignFile):
 class BatteryScenario:
     """Drawn values of a run: one for each range of `BatteryRanges` and `CurrentRanges`, and these.
 
+    It has what `drawn.DrawnRun` has for the results, and is judged at constant current, over the
+    step of the set-point.
+
     Attributes:
+        cycle_periods: Slow periods at the end of a run that show whether it is stable.
         seed: It was drawn from this.
         duration_s: Length.
         cells: In series.
@@ -100,6 +104,8 @@ class BatteryScenario:
         line_voltage: Relative line voltage.
         frequency_Hz: Of the line.
     """
+
+    cycle_periods: ClassVar[int] = 100
 
     seed: int
     duration_s: float
@@ -135,14 +141,16 @@ class BatteryScenario:
         return self.share * self.largest_A
 
     @property
-    def step_A(self) -> float:
-        """By how much it is lowered."""
+    def step(self) -> float:
+        """By how many amperes it is lowered; nothing moves the current further."""
         return (1.0 - self.lowered) * self.current_A
+
+    largest_movement = step
 
     def setpoint_at(self, time_s: float) -> float:
         """Return the current that is asked for."""
         first, last = (share * self.duration_s for share in _LOWERED)
-        return self.current_A - (self.step_A if first <= time_s < last else 0.0)
+        return self.current_A - (self.step if first <= time_s < last else 0.0)
 
     def series_at(self, time_s: float) -> float:
         """Return the series resistance over that at the start."""
@@ -165,14 +173,14 @@ class BatteryScenario:
             relaxation_2_s=self.second_s,
         )
 
-    def world(self) -> WorldParameters:
-        """The true drive, line and sensor."""
+    def world(self, load: Battery) -> World:
+        """The true drive, line and sensor in front of the battery."""
         nominal = CouplingParameters()
         line = LineParameters.steady(self.line_voltage, self.frequency_Hz)
         droop_Ohm = nominal.droop_Ohm * self.scale**2
         stage = CouplingParameters(nominal.ratio * self.scale, droop_Ohm)
         noise = NoiseParameters(sigma=self.noise * self.largest_A)
-        return WorldParameters(line, coupling=stage, noise=noise, seed=self.seed)
+        return World(load, line=line, coupling=stage, noise=noise, seed=self.seed)
 
     def configuration(self) -> Configuration:
         """The daemon's: the example's for this voltage, with its model of the battery."""
@@ -186,6 +194,54 @@ class BatteryScenario:
         load["charge"]["end_current_A"] /= self.scale
         tables["interlocks"]["output_max"] /= self.scale
         return validate_configuration(tables, EXAMPLES / "battery.toml")
+
+    def columns(self) -> Row:
+        """Return the drawn values as columns of the results."""
+        row = columns_of(self) | {"full_V": CELL_FULL_V * self.cells, "current_A": self.current_A}
+        return row | {"changes": int(self.growth > 1.0), "shape": "square"}
+
+    def run(self, mode: Mode) -> course.Run:
+        """Charge the battery."""
+        plant = Battery(self.battery())
+        drive = site.OperatedDrive(self.configuration(), self.world(plant))
+        drive.begin(mode)
+        series_Ohm = plant.resistance_Ohm
+
+        def age(time_s: float) -> None:
+            plant.resistance_Ohm = series_Ohm * self.series_at(time_s)
+
+        run = drive.follow(self.duration_s, self.setpoint_at, age)
+        run.interlock = int(bool(run.trip))
+        return run
+
+    def errors(self, run: course.Run) -> course.Array:
+        """Return the differences to the designed loop at constant current."""
+        if run.trip:
+            return np.array([np.inf])
+        pole = self.configuration().load.pole
+        errors: course.Array = (run["output"] - ideal_current(run["reference"], pole)) / self.step
+        errors = errors[self._constant(run)]
+        return errors if errors.size else np.zeros(1)  # at the voltage limit from the start
+
+    def seen(self, run: course.Run) -> Row:
+        """Return the share of constant current with adaptive in force, and the ripple."""
+        constant = self._constant(run)
+        if run.trip or not np.any(constant):
+            return {"adaptive_share": 0.0, "ripple_found": math.nan, "constant_s": 0.0}
+        outputs = run["output"][constant & (run["time_s"] < 0.7 * self.duration_s)]
+        return {
+            "adaptive_share": float(np.mean(run["adaptive"][constant])),
+            "ripple_found": float(np.ptp(outputs) / self.current_A) if outputs.size else math.nan,
+            "constant_s": float(np.count_nonzero(constant)),
+        }
+
+    def _constant(self, run: course.Run) -> NDArray[np.bool_]:
+        """Return the slow periods at constant current: from its start to the voltage limit."""
+        near_V = _NEAR_LIMIT * CELL_FULL_V * self.cells
+        reached = np.flatnonzero(run["terminal_voltage_V"] >= near_V)
+        end = reached[0] if reached.size else len(run.trace)
+        within: NDArray[np.bool_] = run["time_s"] >= _BEGINS_s
+        return within & (np.arange(len(run.trace)) < end)
 
 
 def draw_battery(campaign: BatteryCampaign, seed: int) -> BatteryScenario:
@@ -217,68 +273,6 @@ def ideal_current(references: course.Array, pole: float) -> course.Array:
     for k in range(1, found.size):
         found[k] = pole * found[k - 1] + (1.0 - pole) * references[k - 1]
     return found
-
-
-class BatteryTrial:
-    """One scenario of a battery; judged at constant current, over the step of the set-point.
-
-    It has what `drawn.DrawnRun` has for the results.
-    """
-
-    cycle_periods = 100
-
-    def __init__(self, scenario: BatteryScenario) -> None:
-        self.scenario = scenario
-        self.step = self.largest_movement = scenario.step_A
-
-    def columns(self) -> Row:
-        """Return the drawn values as columns of the results."""
-        own = self.scenario
-        row = columns_of(own) | {"full_V": CELL_FULL_V * own.cells, "current_A": own.current_A}
-        return row | {"changes": int(own.growth > 1.0), "shape": "square"}
-
-    def run(self, mode: Mode) -> course.Run:
-        """Charge the battery."""
-        own, plant = self.scenario, Battery(self.scenario.battery())
-        drive = site.OperatedDrive(own.configuration(), World(plant, own.world()))
-        drive.begin(mode)
-        series_Ohm = plant.resistance_Ohm
-
-        def age(time_s: float) -> None:
-            plant.resistance_Ohm = series_Ohm * own.series_at(time_s)
-
-        run = drive.follow(own.duration_s, own.setpoint_at, age)
-        run.interlock = int(bool(run.trip))
-        return run
-
-    def errors(self, run: course.Run) -> course.Array:
-        """Return the differences to the designed loop at constant current."""
-        if run.trip:
-            return np.array([np.inf])
-        pole = self.scenario.configuration().load.pole
-        errors: course.Array = (run["output"] - ideal_current(run["reference"], pole)) / self.step
-        errors = errors[self._constant(run)]
-        return errors if errors.size else np.zeros(1)  # at the voltage limit from the start
-
-    def seen(self, run: course.Run) -> Row:
-        """Return the share of constant current with adaptive in force, and the ripple."""
-        constant, own = self._constant(run), self.scenario
-        if run.trip or not np.any(constant):
-            return {"adaptive_share": 0.0, "ripple_found": math.nan, "constant_s": 0.0}
-        outputs = run["output"][constant & (run["time_s"] < 0.7 * own.duration_s)]
-        return {
-            "adaptive_share": float(np.mean(run["adaptive"][constant])),
-            "ripple_found": float(np.ptp(outputs) / own.current_A) if outputs.size else math.nan,
-            "constant_s": float(np.count_nonzero(constant)),
-        }
-
-    def _constant(self, run: course.Run) -> NDArray[np.bool_]:
-        """Return the slow periods at constant current: from its start to the voltage limit."""
-        near_V = _NEAR_LIMIT * CELL_FULL_V * self.scenario.cells
-        reached = np.flatnonzero(run["terminal_voltage_V"] >= near_V)
-        end = reached[0] if reached.size else len(run.trace)
-        within: NDArray[np.bool_] = run["time_s"] >= _BEGINS_s
-        return within & (np.arange(len(run.trace)) < end)
 
 
 def summarise(rows: list[Row]) -> str:

@@ -5,7 +5,7 @@ slow instants, plus (0.005 · step)² for each: errors below any display cost no
 that.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from itertools import cycle
 from pathlib import Path
 
@@ -18,13 +18,13 @@ from rich.table import Table
 
 from adaptdrive.analysis import figures
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.batteries import BatteryTrial
+from adaptdrive_sim.campaign.batteries import BatteryScenario
 from adaptdrive_sim.campaign.drawn import DrawnRun, Row
 from adaptdrive_sim.course import Array, Run
 from adaptdrive_sim.experiments.figure import CONTROLLERS, SYMBOLS, mark_in_force, minutes_of
 from adaptdrive_sim.experiments.reproduce import Claim, print_claims
 
-Trial = DrawnRun | BatteryTrial
+Trial = DrawnRun | BatteryScenario
 """The run of one seed, for as many controllers as are to run it."""
 
 # Judges a run by criteria that every load shares.
@@ -71,22 +71,8 @@ _MUCH = 0.1
 """Share of the time that is named as a reason."""
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """A run that is not as it should be.
-
-    Attributes:
-        seed: It repeats the run.
-        cause: Kind of failure.
-        ratio: Cost of adaptive over that of fixed control.
-        reason: What the run shows of the reason; empty where adaptive control alone failed.
-    """
-
-    seed: int
-    cause: str
-    ratio: float
-    reason: str = ""
-
+Failure = tuple[str, Row]
+"""Kind of a failure, and the row of the run in which it was."""
 
 _NAMES = "fixed", "adaptive"
 
@@ -96,28 +82,26 @@ _HELD = "interlock", "unstable"
 
 def failures(rows: list[Row]) -> list[Failure]:
     """Every run in which adaptive control failed, the worst first."""
-    found = [
-        Failure(row["seed"], cause, row["ratio"])
-        for row in rows
-        for cause in _HELD
-        if row[f"{cause}_adaptive"] and not row[f"{cause}_fixed"]
-    ]
-    worse = [(row["seed"], row["ratio"]) for row in rows if row["ratio"] > WORSE]
-    found += [Failure(seed, "worse than fixed", ratio) for seed, ratio in worse]
-    return sorted(found, key=lambda failure: (failure.cause, -failure.ratio))
+    found = [(cause, row) for cause in _HELD for row in _lost(rows, cause, fixed_too=False)]
+    found += [("worse than fixed", row) for row in rows if row["ratio"] > WORSE]
+    return sorted(found, key=lambda one: (one[0], -one[1]["ratio"]))
 
 
 def shared_failures(rows: list[Row]) -> list[Failure]:
-    """Every run that neither controller has held, with the reason that it shows."""
+    """Every run that neither controller has held."""
     return [
-        Failure(row["seed"], f"{cause}, fixed too", row["ratio"], _reason(row))
+        (f"{cause}, fixed too", row)
         for cause in _HELD
-        for row in rows
-        if row[f"{cause}_adaptive"] and row[f"{cause}_fixed"]
+        for row in _lost(rows, cause, fixed_too=True)
     ]
 
 
-def _reason(row: Row) -> str:
+def _lost(rows: list[Row], cause: str, *, fixed_too: bool) -> list[Row]:
+    lost = (row for row in rows if row[f"{cause}_adaptive"])
+    return [row for row in lost if bool(row[f"{cause}_fixed"]) is fixed_too]
+
+
+def reason_of(row: Row) -> str:
     """Return what lasted for much of a run with adaptive control and keeps it from its design."""
     verdicts = sum(value for name, value in row.items() if name.startswith("verdict_"))
     shares = {
@@ -147,8 +131,8 @@ def claims(rows: list[Row]) -> list[Claim]:
 
 
 def _none(rows: list[Row], text: str, cause: str) -> Claim:
-    count = sum(one.cause == cause for one in failures(rows))
-    shared = sum(one.cause.startswith(cause) for one in shared_failures(rows))
+    count = sum(one == cause for one, _ in failures(rows))
+    shared = sum(one.startswith(cause) for one, _ in shared_failures(rows))
     others = f"; {shared} with fixed control too" if shared else ""
     return Claim(text, f"{count} of {len(rows)}{others}", "none", count == 0)
 
@@ -198,11 +182,15 @@ def print_results(rows: list[Row], seconds: float, campaign: Path, console: Cons
     title = f"{len(rows)} runs, each fixed and adaptive, in {seconds:.1f} s"
     print_claims(f"{title}: {speed:.1f} experiments per second", claims(rows))
     console.print(_cost_table(rows))
-    if found := failures(rows):
-        console.print(_failure_table(found, "failure", "repeat", campaign))
-    if shared := shared_failures(rows):
-        heading = "neither controller"
-        console.print(_failure_table(shared, heading, "what the run shows", campaign))
+    again = f"adaptdrive-sim campaign {campaign} --output DIR --only"
+    for found, heading, last, text_of in (
+        (failures(rows), "failure", "repeat", lambda row: f"{again} {row['seed']}"),
+        (shared_failures(rows), "neither controller", "what the run shows", reason_of),
+    ):
+        if found:
+            console.print(
+                _failure_table(found, Table(heading, "seed", "cost ratio", last), text_of)
+            )
 
 
 def _cost_table(rows: list[Row]) -> Table:
@@ -222,12 +210,10 @@ def _cost_table(rows: list[Row]) -> Table:
     return table
 
 
-def _failure_table(found: list[Failure], heading: str, last: str, campaign: Path) -> Table:
-    """Return the first failures; the last column is a reason, or the command that repeats one."""
-    table = Table(heading, "seed", "cost ratio", last)
-    for one in found[:_SHOWN]:
-        command = f"adaptdrive-sim campaign {campaign} --output DIR --only {one.seed}"
-        table.add_row(one.cause, str(one.seed), f"{one.ratio:.3f}", one.reason or command)
+def _failure_table(found: list[Failure], table: Table, text_of: Callable[[Row], str]) -> Table:
+    """Add the first failures to a table, with what its last column tells of each."""
+    for cause, row in found[:_SHOWN]:
+        table.add_row(cause, str(row["seed"]), f"{row['ratio']:.3f}", text_of(row))
     if len(found) > _SHOWN:
         table.caption = f"and {len(found) - _SHOWN} more, see results.parquet"
     return table

@@ -14,7 +14,7 @@ from adaptdrive_sim.course import Array, Course, moving
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import World
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +230,7 @@ class Stand(drawn.DrawnRun):
         """Return the plant as it is at the start."""
         motor = Motor(self.scenario.motor())
         motor.resize(float(self.sizes[0]), 0.0)
-        return World(motor, WorldParameters(line=self.scenario.line()))
+        return World(motor, line=self.scenario.line())
 
     def true_load(self, k: int) -> Load:
         """Return the model of the true motor in a slow period."""
@@ -377,7 +377,7 @@ class BathStand(drawn.DrawnRun):
             turn_s=scenario.turn_s,
             ageing_per_h=scenario.ageing_per_h,
         )
-        return World(Bath(parameters), WorldParameters(line=scenario.line()))
+        return World(Bath(parameters), line=scenario.line())
 
     def true_load(self, k: int) -> Load:
         """Return the model of the true bath in a slow period; its input is a new heater's power."""

@@ -2,14 +2,12 @@
 
 import asyncio
 import math
+import os
 import shutil
 import sys
-import time
-import webbrowser
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
-from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -20,95 +18,54 @@ from rich.layout import Layout
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.processes import ProcessDiedError
-from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.session import SessionMark, write_marks
-from adaptdrive.tui import run_view, terminal
+from adaptdrive.tui import Show, run_view, terminal
 from adaptdrive.tui.record import CONTROLLERS, plot
 from adaptdrive.tui.view import DIM, ViewExtras, figure, flow, rows, screen
 from adaptdrive.tui.view import KEYS as DRIVE_KEYS
-from adaptdrive.util.clock import in_thread
-from adaptdrive.util.errors import AdaptdriveError, first_error
-from adaptdrive_sim.demo import DemoSettings
-from adaptdrive_sim.demo.player import Player
-from adaptdrive_sim.demo.stages import RealStage, VirtualStage, program
-from adaptdrive_sim.demo.story import TRIPPED, DemoRecord, Story, read_story
+from adaptdrive.util.errors import RefusedError
+from adaptdrive_sim.demo.player import DemoError, Player
+from adaptdrive_sim.demo.stage import Stage
+from adaptdrive_sim.demo.story import DemoRecord, read_story
 
 # The view of a demonstration: that of `adaptdrive watch`, with the story and its table.
 
-KEYS = ("q end", "space pause", "d disk", "f fixed", "a adaptive", "p panel", "s STOP", "? help")
+KEYS = ("q end", "space pause", "d disk", "f fixed", "a adaptive", "s STOP", "? help")
+
+_DEPLOYED = " bus     adaptdrive start FILE --simulate FILE has broker, daemon and panel"
 
 
-class DemoView:
-    """Shows a record and its story, and acts on the keys of the story.
+def show(player: Player, size: tuple[int, int]) -> Layout:
+    """Return the whole screen.
 
-    Attributes:
-        help: Whether the help is shown.
+    Args:
+        player: The story.
+        size: Width and height of the terminal in characters.
     """
+    record = player.stage.record
+    drop = "d disk" if "disks" in record.truth else "d disturb"
+    around = ViewExtras(
+        keys=[drop if key == "d disk" else key for key in KEYS],
+        lead=_lead(player, size[0]),
+        tables=dict([story_table(record)]),
+        longest_s=record.story.window_s,
+        cover=_help(player.stage, size[0]) if player.help else None,
+        plant=False,
+    )
+    return screen(record, size, around)
 
-    def __init__(self, record: DemoRecord, player: Player, stage: RealStage | VirtualStage) -> None:
-        """Prepare the view.
 
-        Args:
-            record: What was received.
-            player: The story.
-            stage: Where it is played.
-        """
-        self.help = False
-        self._record, self._player, self._stage = record, player, stage
-        self._opening: asyncio.Task[None] | None = None
+def _lead(player: Player, width: int) -> list[Text]:
+    lines = wrap(player.say, max(20, width - 2))[:2]
+    position = Text(f" {player.position}", "bold cyan")
+    return [position, *(Text(f" {line}", "italic") for line in lines)]
 
-    def takes(self, key: str) -> terminal.KeyCommand | bool:
-        """Act on a key of the story; return its disturbance, or whether it was such a key."""
-        match key:
-            case " ":
-                self._player.toggle()
-            case "?":
-                self.help = not self.help
-            case "p":
-                self._opening = asyncio.create_task(self._open_panel())
-            case "d":
-                return self._player.dropped() or True
-            case "s" | "S":
-                self._player.hold("The drive was stopped.")
-                return False
-        return key in " ?p"
 
-    def screen(self, size: tuple[int, int]) -> Layout:
-        """Return the whole screen for a terminal of some width and height."""
-        drop = "d disk" if "disks" in self._record.truth else "d disturb"
-        around = ViewExtras(
-            keys=[drop if key == "d disk" else key for key in KEYS],
-            lead=self._lead(size[0]),
-            tables=dict([story_table(self._record)]),
-            longest_s=self._record.story.window_s,
-            cover=self._help(size[0]) if self.help else None,
-            plant=False,
-        )
-        return screen(self._record, size, around)
-
-    def _lead(self, width: int) -> list[Text]:
-        lines = wrap(self._player.say, max(20, width - 2))[:2]
-        position = Text(f" {self._player.position}", "bold cyan")
-        return [position, *(Text(f" {line}", "italic") for line in lines)]
-
-    def _help(self, width: int) -> Text:
-        """Return what else can be done, here and from another terminal."""
-        offered = self._record.features
-        digits = [f"{digit} {one.get('text')}" for digit, one in enumerate(offered, 1)]
-        lines = [*flow(digits, width), *flow(DRIVE_KEYS[:-1], width)]
-        lines += [f" {name:<7} {place}" for name, place in self._stage.places.items()]
-        return Text("\n".join(lines), DIM, no_wrap=True, overflow="ellipsis")
-
-    async def _open_panel(self) -> None:
-        self._record.answer = "panel: starting…"
-        try:
-            address = await self._stage.panel()
-        except AdaptdriveError as problem:
-            self._record.answer = f"panel: {problem}"
-        else:
-            self._record.answer = f"panel: {address}"
-            in_thread(lambda: webbrowser.open(address), "adaptdrive-browser")
+def _help(stage: Stage, width: int) -> Text:
+    """Return what else can be done."""
+    digits = [f"{digit} {one.get('text')}" for digit, one in enumerate(stage.record.features, 1)]
+    lines = [*flow(digits, width), *flow(DRIVE_KEYS[:-1], width)]
+    lines += [f" time    {stage.speed:g} times real time, in one process", _DEPLOYED]
+    return Text("\n".join(lines), DIM, no_wrap=True, overflow="ellipsis")
 
 
 def story_table(record: DemoRecord) -> tuple[str, Table]:
@@ -134,13 +91,18 @@ _PICTURE = (100, 18)
 
 Summary = dict[str, Any]
 
+_SPEED_MAX = 1e6
+"""Times real time: more than any machine reaches."""
 
-def run_demo(name: str, settings: DemoSettings) -> int:
+
+def run_demo(name: str, duration_s: float | None, *, headless: bool, speed: float | None) -> int:
     """Play a story and print its summary.
 
     Args:
         name: Name of the story.
-        settings: What is wanted; without a terminal it is headless anyway.
+        duration_s: Seconds of the story; the whole story when None.
+        headless: Show nothing; so it is without a terminal anyway.
+        speed: Times real time; the story's own when None.
 
     Returns:
         0 when control worked, 1 when it failed.
@@ -148,53 +110,43 @@ def run_demo(name: str, settings: DemoSettings) -> int:
     Raises:
         AdaptdriveError: It could not begin.
     """
-    story = read_story(name)
-    settings.check(virtual=story.speed is not None)
-    seen = sys.stdout.isatty() and sys.stdin.isatty() and not settings.headless
+    if duration_s is not None and not 1.0 <= duration_s < math.inf:
+        raise RefusedError(f"--duration {duration_s:g} must be at least 1 second")
+    if speed is not None and not 0.0 < speed <= _SPEED_MAX:
+        raise RefusedError(f"--speed {speed:g} must lie above 0, and up to 1e6")
+    seen = sys.stdout.isatty() and sys.stdin.isatty() and not headless
     if seen:
         terminal.refuse_dumb_terminal()
-    summary, problem = asyncio.run(_play(story, replace(settings, headless=not seen)))
-    if not seen:
+    player = Player(Stage(read_story(name), speed), duration_s)
+    summary = asyncio.run(_play(player, partial(show, player) if seen else None))
+    if seen:
+        show_end(player.stage.record, summary)
+    else:
         sys.stdout.write(msgspec.json.encode(summary).decode() + "\n")
     if not summary["ok"]:
-        tail = problem.tail if isinstance(problem, ProcessDiedError) else []
-        lines = [f"adaptdrive-sim: {summary['reason']}", *(f"  {line}" for line in tail)]
-        sys.stderr.write("\n".join(lines) + "\n")
+        sys.stderr.write(f"adaptdrive-sim: {summary['reason']}\n")
     return 0 if summary["ok"] else 1
 
 
-async def _play(story: Story, settings: DemoSettings) -> tuple[Summary, AdaptdriveError | None]:
-    """Play a story to its end, and return its figures and what has ended it early."""
-    problem: AdaptdriveError | None = None
-    virtual = story.speed is not None
-    stage = VirtualStage(story, settings) if virtual else RealStage(story, settings)
-    record = DemoRecord(stage.drive_name, time.monotonic, story=story)
-    player = Player(story, stage, record, settings.duration_s)
+async def _play(player: Player, shown: Show | None) -> Summary:
+    """Play a story to its end, and return its figures."""
+    stage, problem = player.stage, ""
     try:
-        async with stage:
-            view = DemoView(record, player, stage)
-            show = None if settings.headless else view.screen
-            jobs = [player.run(), *stage.services(record)]
-            with suppress(KeyboardInterrupt):
-                await run_view(record, stage.ask, jobs, show, view.takes)
-    except* AdaptdriveError as problems:
-        problem = first_error(problems)
-    if stage.session is not None:
-        keep_marks(record, stage.session)
-    summary = summarise(record, player, str(problem or "")) | stage.facts
-    if not settings.headless:
-        show_end(record, summary, stage.session)
-    return summary, problem
+        with suppress(KeyboardInterrupt):
+            await run_view(stage.record, stage.ask, [player.run()], shown, player.takes)
+    except DemoError as failure:
+        problem = str(failure)
+    return summarise(player, problem)
 
 
-def summarise(record: DemoRecord, player: Player, failure: str) -> Summary:
+def summarise(player: Player, failure: str) -> Summary:
     """Return everything worth knowing at the end, as one flat object for JSON.
 
     Args:
-        record: What was received.
         player: The story.
         failure: What ended the demonstration early; empty when nothing did.
     """
+    stage, record = player.stage, player.stage.record
     problems = [failure] if failure else list(_problems(record, player))
     return {
         "demo": record.story.name,
@@ -211,6 +163,7 @@ def summarise(record: DemoRecord, player: Player, failure: str) -> Summary:
         "values": {name: round(value, 4) for name, value in record.values.items()},
         "estimates": record.load.get("estimates"),
         "truth": {name: record.truth.get(name) for name in record.load.get("estimates") or ()},
+        "speed": stage.speed,
     }
 
 
@@ -243,13 +196,7 @@ def _overshoots(record: DemoRecord) -> dict[str, dict[str, float]]:
     }
 
 
-def keep_marks(record: DemoRecord, session: Path) -> None:
-    """Write what was done to the drive into its session, for figures."""
-    marks = [SessionMark(datetime.fromtimestamp(s, UTC), text) for s, text in record.marks]
-    write_marks(session, [mark for mark in marks if mark.text != TRIPPED])
-
-
-def show_end(record: DemoRecord, summary: Summary, session: Path | None) -> None:
+def show_end(record: DemoRecord, summary: Summary) -> None:
     """Print what was seen, the figures, and the line that shows it again."""
     points = list(record.points)
     console = Console(highlight=False)
@@ -261,19 +208,15 @@ def show_end(record: DemoRecord, summary: Summary, session: Path | None) -> None
         name, table = story_table(record)
         table.expand = False
         console.print(Group(title, picture, Text(f"\n{name}", "bold"), table, ""))
-    sys.stdout.write("\n".join(_lines(summary, session)) + "\n")
+    sys.stdout.write("\n".join(_lines(summary)) + "\n")
 
 
-def _lines(summary: Summary, session: Path | None) -> Iterator[str]:
+def _lines(summary: Summary) -> Iterator[str]:
     verdict = "control worked" if summary["ok"] else "control failed"
     yield f"{summary['demo']}: {verdict} for {summary['duration_s']:.0f} s"
     counted = (f"{summary[name]} {name}" for name in ("ticks", "missed", "held"))
     yield f"  ticks      {', '.join(counted)}, {len(summary['trips'])} trips"
-    if session is not None and (drawn := _figure(session)) is not None:
-        yield f"  figure     {_short(drawn[0])}"
-        yield f"  once more  {program()} plot {_short(session)} --from {drawn[1]}"
-    else:
-        yield f"  once more  {program('adaptdrive-sim')} demo {summary['demo']}"
+    yield f"  once more  {program('adaptdrive-sim')} demo {summary['demo']}"
     yield f"  next       {next_step()}"
 
 
@@ -285,24 +228,10 @@ def next_step() -> str:
     return f"{program()} init motor --device siemens-v20 --name pump   # README.md goes on"
 
 
-def _figure(session: Path) -> tuple[Path, int] | None:
-    """Draw the session from its start on; None where it cannot be drawn here.
-
-    Returns:
-        The figure, and the second of the session from which on the drive was enabled.
-    """
-    try:
-        from adaptdrive.analysis.figures import plot as plot_session  # noqa: PLC0415 - it is large
-
-        read = read_session(session)
-        first_s = read.ticks["monotonic_s"][0].as_py()
-        starts = (event.monotonic_s - first_s for event in read.events if event.kind == "state")
-        begin = max(0, math.ceil(next(starts, 0.0)))
-        return plot_session(session, begin)[0], begin
-    except (ImportError, AdaptdriveError, OSError, IndexError):
-        return None
+def program(name: str = "adaptdrive") -> str:
+    """Return the command for a program: its name, or its path if the name is not found."""
+    return name if shutil.which(name) else _short(Path(sys.executable).with_name(name))
 
 
 def _short(path: Path) -> str:
-    here = Path.cwd()
-    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
+    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)

@@ -5,13 +5,12 @@ from collections.abc import Callable
 import msgspec
 
 from adaptdrive.control.signals import Waveform
-from adaptdrive.mqtt import client, commands
+from adaptdrive.mqtt import commands
 from adaptdrive.tui.terminal import KeyCommand
-from adaptdrive_sim.demo import DemoError
-from adaptdrive_sim.demo.stages import RealStage, VirtualStage
-from adaptdrive_sim.demo.story import DemoRecord, Scene, Story
+from adaptdrive.util.errors import AdaptdriveError
+from adaptdrive_sim.demo.stage import Stage
+from adaptdrive_sim.demo.story import Scene
 
-START_s = 60.0
 RUNNING_s = 30.0
 NEAR_s = 60.0
 SEEN_s = 3.0
@@ -26,6 +25,10 @@ _ATTEMPTS = 5
 _LOOK_s = 0.1
 
 
+class DemoError(AdaptdriveError):
+    """The demonstration cannot continue; the message gives the reason."""
+
+
 class Player:
     """Plays one story.
 
@@ -38,23 +41,18 @@ class Player:
         number: The present scene, counted from 0.
         duration_s: Time of the story at which it ends.
         paused: Whether the story is held.
+        stage: Where it is played.
+        help: Whether the viewer has asked for help.
     """
 
-    def __init__(
-        self,
-        story: Story,
-        stage: RealStage | VirtualStage,
-        record: DemoRecord,
-        duration_s: float | None,
-    ) -> None:
+    def __init__(self, stage: Stage, duration_s: float | None) -> None:
         self.say = "The drive starts: its capacitor is charged."
         self.at_s = 0.0
         self.number = 0
-        self.duration_s = story.duration_s if duration_s is None else duration_s
+        self.duration_s = stage.story.duration_s if duration_s is None else duration_s
         self.paused = False
-        self._story = story
-        self._stage = stage
-        self._record = record
+        self.stage, self.help = stage, False
+        self._story, self._record = stage.story, stage.record
         self._ready = False
         self._wave: Waveform | None = None
         self._wave_s = self._asked_s = 0.0
@@ -105,6 +103,20 @@ class Player:
         """Pause the story because somebody else operates the drive."""
         self.paused, self.say = True, f"{why} The story is paused; space continues it."
 
+    def takes(self, key: str) -> KeyCommand | bool:
+        """Act on a key of the story; return its disturbance, or whether it was such a key."""
+        match key:
+            case " ":
+                self.toggle()
+            case "?":
+                self.help = not self.help
+            case "d":
+                return self.dropped() or True
+            case "s" | "S":
+                self.hold("The drive was stopped.")
+                return False
+        return key in " ?"
+
     def dropped(self) -> KeyCommand | None:
         """Return the next disturbance of the key `d`, which changes the load."""
         for _ in self._story.drop:
@@ -125,11 +137,11 @@ class Player:
         return min([self.duration_s, *later]) - self.at_s
 
     async def _pass_time(self) -> None:
-        before_s = self._stage.time_s
-        await self._stage.wait(_LOOK_s if self.paused else self._next_s)
+        before_s = self.stage.time_s
+        await self.stage.wait(_LOOK_s if self.paused else self._next_s)
         if self.paused or not self._ready:
             return
-        self.at_s += self._stage.time_s - before_s
+        self.at_s += self.stage.time_s - before_s
         if why := self._other_operator():
             self.hold(why)
             return
@@ -141,7 +153,7 @@ class Player:
     def _other_operator(self) -> str:
         """Return what somebody else has done to the drive, empty for nothing."""
         state = self._record.state
-        if self._stage.time_s - self._asked_s < SEEN_s or self._record.completed:
+        if self.stage.time_s - self._asked_s < SEEN_s or self._record.completed:
             return ""
         if state.get("state") in {"standby", "stopping"}:
             return "The drive was stopped."
@@ -155,7 +167,7 @@ class Player:
             if scene.disturb is not None:
                 await self._disturb(scene.disturb)
             await self._carry_out(scene)
-        except (DemoError, client.NoAnswerError):
+        except DemoError:
             self._ready = not self._record.running
 
     def _begin_again(self) -> None:
@@ -170,11 +182,11 @@ class Player:
     async def _try_to_prepare(self) -> None:
         try:
             await self._prepare()
-        except (DemoError, client.NoAnswerError) as problem:
+        except DemoError:
             self._failures += 1
             if self._failures == _ATTEMPTS:
-                raise DemoError(str(problem)) from problem
-            await self._stage.wait(_LOOK_s)
+                raise
+            await self.stage.wait(_LOOK_s)
         else:
             self._ready, self._failures = True, 0
 
@@ -182,10 +194,6 @@ class Player:
         """Bring the drive to the conditions of the present scene, from whatever state it is in."""
         record = self._record
         held, disturbances = self._story.conditions(self.number)
-        measured = "the daemon receives no measurement"
-        await self._until(
-            lambda: record.live and record.fast.get("output") is not None, START_s, measured
-        )
         if record.trip:
             await self._until_reset()
         if not record.running:
@@ -201,17 +209,17 @@ class Player:
 
     async def _until_reset(self) -> None:
         """Reset as soon as the cause is gone and the drive has confirmed its stop."""
-        end_s = self._stage.time_s + RUNNING_s
-        while not (await self._stage.ask(KeyCommand("reset"))).accepted:
+        end_s = self.stage.time_s + RUNNING_s
+        while not (await self.stage.ask(KeyCommand("reset"))).accepted:
             await self._pause_a_moment(end_s, "the trip cannot be reset")
         await self._until(lambda: not self._record.trip, RUNNING_s, "the trip stays")
 
     async def _come_near(self, wave: Waveform) -> None:
         """Wait until the output is near the wave, or for so long that it never will be."""
-        end_s = self._stage.time_s + NEAR_s
+        end_s = self.stage.time_s + NEAR_s
         room = _NEAR * (wave.high - wave.low)
         while abs(commands.number(self._record.fast.get("output")) - wave.low) > room:
-            if self._stage.time_s > end_s:
+            if self.stage.time_s > end_s:
                 return
             await self._pause_a_moment(float("inf"), "")
 
@@ -227,7 +235,7 @@ class Player:
             self._wave = None
         if (wave := scene.waveform) is not None:
             await self._order("waveform", msgspec.to_builtins(wave))
-            self._wave, self._wave_s = wave, self._stage.time_s
+            self._wave, self._wave_s = wave, self.stage.time_s
             self._record.halves.begin(wave.low)
             self._align(self._farthest)
 
@@ -242,10 +250,10 @@ class Player:
 
     async def _order(self, verb: str, value: object = None) -> None:
         await self._accepted(KeyCommand(verb, value))
-        self._asked_s = self._stage.time_s
+        self._asked_s = self.stage.time_s
 
     async def _accepted(self, command: KeyCommand) -> None:
-        reply = await self._stage.ask(command)
+        reply = await self.stage.ask(command)
         if not reply.accepted:
             raise DemoError(f"{command.text} was refused: {reply.reason}")
 
@@ -259,22 +267,22 @@ class Player:
             return
         period_s = self._wave.period_s
         began_s = next(s.at_s for s in self._story.scenes if s.waveform == self._wave)
-        ahead_s = (self.at_s - began_s - (self._stage.time_s - self._wave_s)) % period_s
+        ahead_s = (self.at_s - began_s - (self.stage.time_s - self._wave_s)) % period_s
         forward_s = (period_s - ahead_s) % period_s
         forward = forward_s < farthest * period_s or self.at_s - ahead_s < began_s
         self.at_s += forward_s if forward else -ahead_s
 
     async def _until(self, condition: Callable[[], bool], longest_s: float, problem: str) -> None:
-        end_s = self._stage.time_s + longest_s
+        end_s = self.stage.time_s + longest_s
         while not condition():
             await self._pause_a_moment(end_s, f"{problem} within {longest_s:g} s")
 
     async def _pause_a_moment(self, end_s: float, problem: str) -> None:
         if self.paused:
             raise DemoError("the story is paused")
-        if self._stage.time_s > end_s:
+        if self.stage.time_s > end_s:
             raise DemoError(problem)
-        await self._stage.wait(_LOOK_s)
+        await self.stage.wait(_LOOK_s)
 
 
 def _clock(time_s: float) -> str:

@@ -108,7 +108,7 @@ class Story(
         duration_s: How long it takes.
         window_s: Longest time that the plot shows.
         scenes: The first one begins it.
-        speed: Times real time, None for real time with a process for each part.
+        speed: Times real time.
         initial_voltage_V: Boost voltage at which the load rests at the begin, None for standstill.
         changes: Values that replace those of the configuration.
         drop: Disturbances that the key `d` sends, in turn.
@@ -124,7 +124,7 @@ class Story(
     duration_s: float
     window_s: float
     scenes: list[Scene]
-    speed: float | None = None
+    speed: float = 1.0
     initial_voltage_V: float | None = None
     changes: dict[str, dict[str, Any]] = {}
     drop: list[dict[str, float]] = []

@@ -53,46 +53,23 @@ Drive = SimulatedDrive | None
 Action = Callable[[World, Drive, Any, float], None]
 
 
-class DisturbanceRequest(
-    msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True
-):
-    """One request as it comes over the wire."""
-
-    id: str
-    disks: int | None = None
-    torque_Nm: float | None = None
-    sag: float | None = None
-    duration_s: float | None = None
-    noise_V: float | None = None
-    fault: int | None = None
-    sensor_fault: int | None = None
-    volume_gal: float | None = None
-    inflow_L_per_min: float | None = None
-    series_Ohm: float | None = None
-    charge: float | None = None
-
-    @property
-    def asked(self) -> list[str]:
-        """Names of all disturbances that it asks for."""
-        return [name for name in _ACTIONS if getattr(self, name) is not None]
-
-
-def parse_request(payload: bytes) -> DisturbanceRequest:
-    """Read one request and make sure that it asks for one thing.
+def parse_request(payload: bytes) -> tuple[str, str, float, float]:
+    """Return the id of a request, the one disturbance that it asks for, its value and duration.
 
     Raises:
         RefusedError: What is wrong with it.
     """
     try:
-        request = msgspec.json.decode(payload, type=DisturbanceRequest)
+        given = msgspec.structs.asdict(msgspec.json.decode(payload, type=_REQUEST))
     except NOT_JSON as problem:
         raise RefusedError(str(problem)) from problem
-    if len(request.asked) != 1:
+    asked = [name for name in _ACTIONS if given[name] is not None]
+    if len(asked) != 1:
         wanted = ", ".join(_ACTIONS)
-        raise RefusedError(f"exactly one of {wanted} is needed, not {len(request.asked)}")
-    if (request.duration_s is not None) != (request.asked[0] in _LASTING):
+        raise RefusedError(f"exactly one of {wanted} is needed, not {len(asked)}")
+    if (given["duration_s"] is not None) != (asked[0] in _LASTING):
         raise RefusedError(f"duration_s belongs to {' and '.join(_LASTING)}, which need it")
-    return request
+    return given["id"], asked[0], given[asked[0]], given["duration_s"] or 0.0
 
 
 def answer(payload: bytes, world: World, drive: Drive = None) -> DeviceReply:
@@ -104,12 +81,11 @@ def answer(payload: bytes, world: World, drive: Drive = None) -> DeviceReply:
         drive: Its drive, None for a story in virtual time, which has none.
     """
     try:
-        request = parse_request(payload)
-        (name,) = request.asked
-        _ACTIONS[name](world, drive, getattr(request, name), request.duration_s or 0.0)
+        name, action, value, duration_s = parse_request(payload)
+        _ACTIONS[action](world, drive, value, duration_s)
     except (RefusedError, ParameterError) as problem:
         return refused(payload, str(problem))
-    return DeviceReply(request.id, accepted=True, reason="")
+    return DeviceReply(name, accepted=True, reason="")
 
 
 def refused(payload: bytes, reason: str) -> DeviceReply:
@@ -183,6 +159,19 @@ _ACTIONS: dict[str, Action] = {
     "charge": _put(battery.Battery, "charge", (0.0, 1.0), ""),
 }
 """Effect of each, with its value and with its duration."""
+
+_WHOLE = ("disks", "fault", "sensor_fault")
+
+_REQUEST = msgspec.defstruct(
+    "DisturbanceRequest",
+    [
+        ("id", str),
+        *((name, int | None if name in _WHOLE else float | None, None) for name in _ACTIONS),
+        ("duration_s", float | None, None),
+    ],
+    forbid_unknown_fields=True,
+)
+"""One request as it comes over the wire."""
 
 
 def from_words(action: str, values: Sequence[float]) -> dict[str, float]:

@@ -239,7 +239,7 @@ class SimulatedDrive:
         word = self._injected
         if self._overvoltage:
             word |= _OVERVOLTAGE
-        if line_V < LINE_LOST_SHARE * self.world.parameters.line.voltage_V:
+        if line_V < LINE_LOST_SHARE * self.world.line.parameters.voltage_V:
             word |= _LINE_LOST
         return word
 

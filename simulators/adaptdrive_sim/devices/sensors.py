@@ -187,7 +187,7 @@ class SensorModule:
 class ModbusSensors:
     """The modules on one link."""
 
-    def __init__(self, drive: SimulatedDrive, config: Config, _place: str, _source: Path) -> None:
+    def __init__(self, drive: SimulatedDrive, config: Config) -> None:
         ids = {register.device_id or config.device_id for register in config.registers.values()}
         self.modules = {number: SensorModule(drive, config, number) for number in sorted(ids)}
         self._drive = drive

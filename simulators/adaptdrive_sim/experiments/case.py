@@ -60,71 +60,50 @@ def disturbance_of(noise: float, spikes: str) -> world.NoiseParameters:
     return world.NoiseParameters(noise, share, sigma)
 
 
+_METHODS = {"direct_rls": "rls", "lm_rls": "lm-rls"}
+
+
 @dataclass(frozen=True, slots=True)
 class Case:
     """Everything that one run depends on.
 
     Attributes:
         experiment: What is done.
-        variant: Which controller runs; `direct_rls` and `lm_rls` are adaptive ones with the
-            estimator named, whatever the design's own is.
-        settings: Settings of the controller.
-        disturbance: Measurement noise, as fractions of the reference step.
-        seed: Of the noise; runs with the same seed see the same noise.
-    """
-
-    experiment: Experiment
-    variant: Variant
-    settings: ControllerSettings
-    disturbance: world.NoiseParameters
-    seed: int
-
-
-_METHODS = {"direct_rls": "rls", "lm_rls": "lm-rls"}
-
-
-def case_settings(experiment: Experiment, variant: Variant, design: Design) -> ControllerSettings:
-    """Settings of one controller of an experiment."""
-    if design == "paper":
-        settings = paper_settings(experiment)
-    else:
-        settings = _from_tables(experiment, experiment.tables())
-        settings = from_rest(settings, experiment.paper.warm_up_s, experiment.period_s)
-    method = _METHODS.get(variant, settings.learning.method)
-    learning = dataclasses.replace(settings.learning, method=method)
-    return dataclasses.replace(settings, learning=learning)
-
-
-@dataclass(frozen=True, slots=True)
-class ReproduceRequest:
-    """Experiment to reproduce, and its options.
-
-    Attributes:
-        experiment: The experiment.
         design: The paper's controller or the daemon's default one.
         disturbance: Measurement noise, as fractions of the reference step.
-        seed: Of the noise.
+        seed: Of the noise; runs with the same seed see the same noise.
+        variant: Which controller runs; `direct_rls` and `lm_rls` are adaptive ones with the
+            estimator named, whatever the design's own is.
     """
 
     experiment: Experiment
     design: Design
     disturbance: world.NoiseParameters
     seed: int
+    variant: Variant = "fixed"
 
     def __post_init__(self) -> None:
         parameters.check_range("seed", self.seed, 0, parameters.SEED_MAX, "")
 
-    def case(self, variant: Variant) -> Case:
-        """The run of one controller."""
-        settings = case_settings(self.experiment, variant, self.design)
-        return Case(self.experiment, variant, settings, self.disturbance, self.seed)
+    @property
+    def settings(self) -> ControllerSettings:
+        """Settings of the controller."""
+        experiment = self.experiment
+        if self.design == "paper":
+            settings = paper_settings(experiment)
+        else:
+            settings = _from_tables(experiment, experiment.tables())
+            settings = from_rest(settings, experiment.paper.warm_up_s, experiment.period_s)
+        method = _METHODS.get(self.variant, settings.learning.method)
+        learning = dataclasses.replace(settings.learning, method=method)
+        return dataclasses.replace(settings, learning=learning)
 
-    def sweep_case(self) -> Case:
+    def sweep(self) -> "Case":
         """The run on which other settings of the estimator are tried; there always is noise."""
-        settings, disturbance = case_settings(self.experiment, "fixed", "paper"), self.disturbance
-        if disturbance.silent:
-            disturbance = world.NoiseParameters(self.experiment.noise)
-        return Case(self.experiment, "fixed", settings, disturbance, self.seed)
+        noise = self.disturbance
+        if noise.silent:
+            noise = world.NoiseParameters(self.experiment.noise)
+        return dataclasses.replace(self, design="paper", variant="fixed", disturbance=noise)
 
 
 def from_rest(
@@ -171,18 +150,19 @@ def run_case(case: Case, *, keep_ticks: bool = False) -> Run:
     Returns:
         The run, with the columns `time_s`, `reference` and `size`.
     """
-    experiment, course = case.experiment, _course(case)
-    control = controller.Controller(case.settings, experiment.nominal())
+    experiment, settings = case.experiment, case.settings
+    course = _course(case, settings.rates.ticks_per_period)
+    control = controller.Controller(settings, experiment.nominal())
     run = Site(control, world.World(experiment.plant())).run(course, keep_ticks=keep_ticks)
     times_s = experiment.times_s()
     sizes = experiment.sizes_at(times_s)
     return run.beside(time_s=np.array(times_s), reference=course.references, size=sizes)
 
 
-def _course(case: Case) -> Course:
+def _course(case: Case, ticks_per_period: int) -> Course:
     experiment = case.experiment
     times_s = experiment.times_s()
-    ticks = len(times_s) * case.settings.rates.ticks_per_period
+    ticks = len(times_s) * ticks_per_period
     noise, disturbances = case.disturbance.scaled(experiment.step), np.zeros(ticks + 1)
     if not noise.silent:
         drawn = world.samples(noise, np.random.default_rng(case.seed))

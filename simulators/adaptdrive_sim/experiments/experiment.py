@@ -182,6 +182,8 @@ def _bath_tables() -> dict[str, Any]:
     model = Bath(BathParameters(volume_gal=NOMINAL_gal)).model(0.25, 1.0)
     found["load"] = {
         "type": "bath",
+        "output_name": "temperature",
+        "output_unit": "K",
         "period_s": 20.0,
         "pole": 0.80,
         "reference_max": 20.0,

@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from adaptdrive.analysis import figures
 from adaptdrive.control.loads.load import to_input
 from adaptdrive_sim.course import Array, Run
-from adaptdrive_sim.experiments import case
+from adaptdrive_sim.experiments.case import Variant
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.outcome import Outcome, SweepPoint, settling_time_s
 
@@ -40,13 +40,13 @@ _MARGIN = 0.06
 
 def describe(outcome: Outcome) -> str:
     """Design, noise, seed and the kind of load change, for the head of a figure."""
-    noise, experiment = outcome.disturbance, outcome.experiment
-    parts = [f"{outcome.design} design", f"noise {100.0 * noise.sigma:.3g} % of the step"]
+    case, noise = outcome.case, outcome.case.disturbance
+    parts = [f"{case.design} design", f"noise {100.0 * noise.sigma:.3g} % of the step"]
     if noise.spike_share:
         share, size = 100.0 * noise.spike_share, 100.0 * noise.spike_sigma
         parts.append(f"spikes of {size:.3g} % in {share:.3g} % of the samples")
-    parts.append(f"seed {outcome.seed}")
-    if experiment.dropped:
+    parts.append(f"seed {case.seed}")
+    if case.experiment.dropped:
         parts.append("disks at rest when they land")
     return ", ".join(parts)
 
@@ -159,7 +159,7 @@ def minutes_of(record: Run) -> Array:
     return record["time_s"] / 60.0
 
 
-_TITLES: dict[case.Variant, str] = {
+_TITLES: dict[Variant, str] = {
     "fixed": "fixed controller",
     "adaptive": "adaptive controller",
     "direct_rls": "direct RLS",

@@ -242,10 +242,11 @@ def _transient(experiment: Experiment, estimates: Array) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome(cases.ReproduceRequest):
+class Outcome:
     """Everything that was found.
 
     Attributes:
+        case: What all runs share.
         records: Recorded runs by controller.
         cycles: Metrics of each run by controller.
         converged: Cycles until the adaptive run's estimates were right, for each load change.
@@ -253,11 +254,17 @@ class Outcome(cases.ReproduceRequest):
         over_tau_lambda: What other values of τ_λ do.
     """
 
+    case: cases.Case
     records: dict[cases.Variant, Run]
     cycles: dict[cases.Variant, list[cases.Cycle]]
     converged: list[float | None]
     over_forgetting: list[SweepPoint] = dataclasses.field(default_factory=list)
     over_tau_lambda: list[SweepPoint] = dataclasses.field(default_factory=list)
+
+    @property
+    def experiment(self) -> Experiment:
+        """What was done."""
+        return self.case.experiment
 
     def model_error(self, variant: cases.Variant) -> float:
         """Root mean square of the model error, all but the first reference cycle.
@@ -270,11 +277,9 @@ class Outcome(cases.ReproduceRequest):
         return math.sqrt(sum(squares) / len(squares))
 
 
-def judge(request: cases.ReproduceRequest, records: dict[cases.Variant, Run]) -> Outcome:
+def judge(case: cases.Case, records: dict[cases.Variant, Run]) -> Outcome:
     """Work out the metrics of all runs."""
-    experiment, design = request.experiment, request.design
-    judged = {one: cases.cycles(experiment, design, record) for one, record in records.items()}
-    adaptive = records["adaptive"]
+    experiment, adaptive = case.experiment, records["adaptive"]
+    judged = {one: cases.cycles(experiment, case.design, run) for one, run in records.items()}
     converged = [cases.convergence_cycles(experiment, adaptive, one) for one in experiment.changes]
-    noise, seed = request.disturbance, request.seed
-    return Outcome(experiment, design, noise, seed, records, judged, converged)
+    return Outcome(case, records, judged, converged)

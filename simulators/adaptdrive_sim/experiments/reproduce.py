@@ -59,7 +59,7 @@ def summary(outcome: Outcome, claims: list[dict[str, Any]], wall_s: float) -> di
     changes = zip(outcome.experiment.changes, outcome.converged, strict=True)
     return {
         "experiment": outcome.experiment.name,
-        "seed": outcome.seed,
+        "seed": outcome.case.seed,
         "wall_s": wall_s,
         "controllers": {
             variant: {"cycles": [dataclasses.asdict(cycle) for cycle in judged]}
@@ -122,7 +122,7 @@ def _converged(outcome: Outcome) -> Claim:
 
 def _disturbed(outcome: Outcome) -> Claim:
     least = case.estimate_moves(outcome.experiment, outcome.records["adaptive"])
-    judged = outcome.experiment.dropped and outcome.design == "paper"
+    judged = outcome.experiment.dropped and outcome.case.design == "paper"
     return Claim(
         "each load change disturbs all three estimates, the gain too, which is not changed",
         ", ".join(f"{name} {100.0 * move:.2g} %" for name, move in least.items()),
@@ -133,7 +133,7 @@ def _disturbed(outcome: Outcome) -> Claim:
 
 def _direct_motor(outcome: Outcome) -> Claim:
     ratio = outcome.model_error("direct_rls") / outcome.model_error("adaptive")
-    judged = outcome.disturbance == NOISY and outcome.design == "paper"
+    judged = outcome.case.disturbance == NOISY and outcome.case.design == "paper"
     return Claim(
         "where there are spikes, direct RLS is erratic: its model error over that of LM-RLS",
         f"{ratio:.2f}",
@@ -251,7 +251,7 @@ def find_experiment(name: str, *, keep_speed: bool) -> Experiment:
     return MOTOR if keep_speed else DROPPED
 
 
-def run_request(request: case.ReproduceRequest, folder: Path) -> list[Claim]:
+def run_experiment(request: case.Case, folder: Path) -> list[Claim]:
     """Run an experiment, and write its figures, its summary and its recorded runs.
 
     Args:
@@ -282,21 +282,21 @@ def run_request(request: case.ReproduceRequest, folder: Path) -> list[Claim]:
     return verdicts
 
 
-def _carry_out(request: case.ReproduceRequest, folder: Path) -> Outcome:
+def _carry_out(request: case.Case, folder: Path) -> Outcome:
     """Run everything in parallel, and draw each figure as soon as its data is there."""
     variants = VARIANTS[request.experiment.name]
     workers = min(len(variants), os.cpu_count() or 1)
     with processes(workers) as pool, progress(len(variants) + _OTHER_STEPS) as done:
         runs = {
-            variant: pool.submit(
-                case.run_case, request.case(variant), keep_ticks=variant == "fixed"
+            one: pool.submit(
+                case.run_case, dataclasses.replace(request, variant=one), keep_ticks=one == "fixed"
             )
-            for variant in variants
+            for one in variants
         }
         # Drawing takes a while to import: meanwhile the runs are under way.
         from adaptdrive_sim.experiments import figure  # noqa: PLC0415
 
-        sweep_case = request.sweep_case()
+        sweep_case = request.sweep()
         given = outcomes.recording_of(sweep_case, runs["fixed"].result())
         over_forgetting, over_tau_lambda = (
             pool.submit(outcomes.try_settings, given, settings(sweep_case))
@@ -322,14 +322,14 @@ def _carry_out(request: case.ReproduceRequest, folder: Path) -> Outcome:
 
 def _write_record(path: Path, outcome: Outcome, variant: case.Variant) -> None:
     """Write a row for each slow period; what a run was made with is in the file's metadata."""
-    disturbance = outcome.disturbance
+    made, disturbance = outcome.case, outcome.case.disturbance
     metadata = {
-        "experiment": outcome.experiment.name,
+        "experiment": made.experiment.name,
         "controller": variant,
-        "design": outcome.design,
-        "seed": str(outcome.seed),
+        "design": made.design,
+        "seed": str(made.seed),
         "noise": repr(disturbance.sigma),
-        "dropped_at_rest": str(outcome.experiment.dropped).lower(),
+        "dropped_at_rest": str(made.experiment.dropped).lower(),
         "spikes": f"{disturbance.spike_share!r},{disturbance.spike_sigma!r}",
     }
     table = outcome.records[variant].table().replace_schema_metadata(metadata)

@@ -21,7 +21,6 @@ from adaptdrive.analysis.curves import Curves, find_window, read_curves
 from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
 from adaptdrive.recording import reader, replay
-from adaptdrive.recording.session import read_marks
 from adaptdrive.util import files, quantity
 from adaptdrive.util.errors import escaped
 
@@ -71,7 +70,6 @@ def legend_above(axes: Axes, columns: int) -> None:
 # The figure of a session: output, voltages, estimates, and which controller was in force.
 
 _TRIP: Look = {"color": "#c1121f", "linewidth": 1.0}
-_DONE: Look = {"color": "#7b2d8b", "linewidth": 0.9, "linestyle": "--"}
 _CHANGE: Look = {"color": "0.4", "linewidth": 0.7, "linestyle": ":"}
 _CHANGES = {"mode", "controller", "fallback"}
 _MOST_LABELS = 6
@@ -227,11 +225,6 @@ def _mark(axes: Sequence[Axes], session: reader.Session, curves: Curves, scale_s
         marked = axes if len(times) <= _MOST_CHANGES else axes[-1:]
         for one in marked if times else ():
             one.vlines(times, 0.0, 1.0, transform=one.get_xaxis_transform(), **look)
-    for mark in read_marks(session.path):
-        time_s = (mark.time - started).total_seconds()
-        if 0.0 <= time_s <= end_s - begin_s:
-            _label(axes[0], time_s / scale_s, mark.text, _DONE["color"])
-            axes[0].axvline(time_s / scale_s, **_DONE)
     for event in trips[:_MOST_LABELS]:
         text = f"trip: {event.trip_kind or 'kind unknown'}"
         _label(axes[0], (event.monotonic_s - begin_s) / scale_s, text, _TRIP["color"])

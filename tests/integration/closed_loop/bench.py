@@ -30,7 +30,7 @@ from adaptdrive.control.signals import (
 )
 from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World
 from tests.unit.control.systems import Array, held_polynomials, motor_system
 
 MOTOR: Load = motor_load(0.011, 11.7, 10.0)
@@ -119,8 +119,7 @@ class Bench:
         output: float = LOW,
     ) -> None:
         self.motor = Motor(MotorParameters())
-        parameters = WorldParameters(noise=noise or NoiseParameters(), seed=seed)
-        self.world = World(self.motor, parameters)
+        self.world = World(self.motor, noise=noise, seed=seed)
         self.world.settle(self.world.boost_voltage_for(output))
         self.controller = Controller(settings, MOTOR)
         self.latency = settings.rates.latency_ticks

@@ -19,7 +19,7 @@ from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.boost import Sample
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.world import NoiseParameters, SimulatedLoad, World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, SimulatedLoad, World
 
 LOW, HIGH, CYCLE_S = 3.0, 3.2, 120.0
 STEP = HIGH - LOW
@@ -189,7 +189,7 @@ class Motion:
         """Let the daemon's controller hold the motor, and say what happened."""
         motor = Motor(MotorParameters(), self.disks)
         noise = NoiseParameters(sigma=self.noise)
-        world = Sensed(motor, WorldParameters(noise=noise, seed=self.seed))
+        world = Sensed(motor, noise=noise, seed=self.seed)
         world.quantum = self.quantum
         world.settle(world.boost_voltage_for(self.low))
         drive = started("motor", world, mode, changes)
@@ -248,4 +248,4 @@ def disks_at(*changes: tuple[float, int]) -> Event:
 
 def load_world(load: SimulatedLoad, noise: float = 0.0, seed: int = 0) -> World:
     """Any load behind the reference drive."""
-    return World(load, WorldParameters(noise=NoiseParameters(sigma=noise), seed=seed))
+    return World(load, noise=NoiseParameters(sigma=noise), seed=seed)

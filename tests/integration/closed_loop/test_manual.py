@@ -12,7 +12,7 @@ from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.world import NoiseParameters, SimulatedLoad, World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, SimulatedLoad, World
 from tests.integration.closed_loop.bench import TICK_s
 from tests.integration.closed_loop.life import started, wait
 from tests.support import sample
@@ -20,7 +20,7 @@ from tests.support import sample
 
 def settled(name: str, load: SimulatedLoad, output: float, noise: float = 0.0) -> OperatedDrive:
     """A drive at rest at an output under the fixed controller."""
-    plant = World(load, WorldParameters(noise=NoiseParameters(sigma=noise)))
+    plant = World(load, noise=NoiseParameters(sigma=noise))
     plant.settle(plant.boost_voltage_for(output))
     drive = started(name, plant)
     drive.carry_out(SetSetpoint(output))

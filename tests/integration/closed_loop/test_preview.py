@@ -20,7 +20,7 @@ from adaptdrive.recording.replay import replay
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World
 from tests.integration.closed_loop.life import wait
 from tests.integration.closed_loop.test_probing import RecordedDrive
 
@@ -35,7 +35,7 @@ def configuration() -> Configuration:
 def run(shape: Shape, preview: bool) -> RecordedDrive:
     """Three cycles under adaptive control."""
     noise = NoiseParameters(sigma=2e-3 * (HIGH - LOW))
-    world = World(Motor(MotorParameters()), WorldParameters(noise=noise, seed=3))
+    world = World(Motor(MotorParameters()), noise=noise, seed=3)
     world.settle(world.boost_voltage_for(LOW))
     drive = RecordedDrive(configuration(), world)
     drive.carry_out(SetWaveform(Waveform(shape, LOW, HIGH, CYCLE_S), preview))

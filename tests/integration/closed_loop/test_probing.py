@@ -33,7 +33,7 @@ from adaptdrive.runtime.requests import (
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World
 from tests.integration.closed_loop.life import CYCLE_S, HIGH, LOW, STEP, periods, started, wait
 from tests.support import sample
 from tests.unit.recording.material import INFO, make_batch, record_messages
@@ -47,7 +47,7 @@ KNOWN_S = 550.0
 def motor_drive(changes: dict[str, dict[str, Any]], noise: float, seed: int) -> OperatedDrive:
     """A motor at rest on 3 V under adaptive control."""
     noises = NoiseParameters(sigma=noise * STEP)
-    world = World(Motor(MotorParameters()), WorldParameters(noise=noises, seed=seed))
+    world = World(Motor(MotorParameters()), noise=noises, seed=seed)
     world.settle(world.boost_voltage_for(LOW))
     drive = started("motor", world, Mode.ADAPTIVE, changes)
     drive.carry_out(SetSetpoint(LOW))
@@ -216,7 +216,7 @@ def test_a_probe_is_replayed_bit_for_bit(tmp_path: Path) -> None:
     tables = example_tables("motor.toml")
     tables["load"] |= PROBED["load"]
     configuration = validate_configuration(tables, EXAMPLES / "motor.toml")
-    world = World(Motor(MotorParameters()), WorldParameters(noise=NoiseParameters(sigma=2e-3)))
+    world = World(Motor(MotorParameters()), noise=NoiseParameters(sigma=2e-3))
     world.settle(world.boost_voltage_for(LOW))
     drive = RecordedDrive(configuration, world)
     wait_for_a_probe(drive)

@@ -12,7 +12,7 @@ import pytest
 from adaptdrive.control.signals import Mode
 from adaptdrive.runtime.requests import SetSetpoint
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
+from adaptdrive_sim.world import NoiseParameters, World
 from tests.integration.closed_loop.life import periods, started
 
 CURRENT_A = 12.0
@@ -44,9 +44,9 @@ class ChargeCourse:
 def charged(seed: int, share: float = SHARE) -> ChargeCourse:
     """Charge the example's battery from 30 % until it is full."""
     plant = Battery(BatteryParameters())
-    parameters = WorldParameters(noise=NoiseParameters(sigma=0.02), seed=seed)
+    world = World(plant, noise=NoiseParameters(sigma=0.02), seed=seed)
     changes: dict[str, dict[str, Any]] = {"load": {"probe_share": share}}
-    drive = started("battery", World(plant, parameters), Mode.ADAPTIVE, changes)
+    drive = started("battery", world, Mode.ADAPTIVE, changes)
     drive.carry_out(SetSetpoint(CURRENT_A))
     found, began_s = ChargeCourse(), drive.time_s
     for _ in periods(drive, 8000.0):

@@ -157,7 +157,7 @@ async def _begin(
     clock: Any,
 ) -> Coroutine[Any, Any, None]:
     """Put the drive on its bus; what keeps it alive."""
-    node = KINDS[configuration.bus.type].drive(drive, configuration, path)
+    node = KINDS[configuration.bus.type][0](drive, configuration, path)
     node._clock = clock
     if isinstance(node, ModbusDrive):
         await stack.enter_async_context(serving(node._config, {node._config.device_id: node}))

@@ -9,7 +9,7 @@ import socket
 import sys
 import time
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, closing
 from pathlib import Path
 
 import pytest
@@ -123,3 +123,12 @@ def test_of_two_programs_that_start_at_once_each_takes_a_port_of_its_own() -> No
     assert third.take(usual=usual) == usual
     second.close()
     third.close()
+
+
+async def test_a_port_that_is_held_can_be_listened_at_and_is_given_to_nobody_else() -> None:
+    with closing(Ports()) as ports:
+        taken = [ports.take() for _ in range(50)]
+        assert len(set(taken)) == 50
+        server = await asyncio.start_server(lambda _, __: None, "127.0.0.1", taken[0])
+        server.close()
+        await server.wait_closed()

@@ -23,7 +23,7 @@ from adaptdrive.runtime.requests import Enable, SetSetpoint
 from adaptdrive_sim import parameters
 from adaptdrive_sim.plants.boost import CouplingParameters
 from adaptdrive_sim.site import OperatedDrive
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import World
 from tests.integration.wire.rig import EXAMPLES
 from tests.support import sample
 from tests.unit.commissioning.draws import KINDS, Draw, Rig, finish
@@ -90,7 +90,7 @@ def test_a_motor_responds_as_predicted(seed: int) -> None:
 def settled(draw: Draw, proposal: Proposal, rest_V: float) -> OperatedDrive:
     """The proposed drive with the true load, at rest."""
     coupling = CouplingParameters(ratio=draw.ratio, droop_Ohm=draw.droop_Ohm)
-    world = World(draw.load, WorldParameters(coupling=coupling))
+    world = World(draw.load, coupling=coupling)
     world.settle(rest_V + RAISED_V)
     rest = world.true_output
     drive = OperatedDrive(proposal.configuration, world)

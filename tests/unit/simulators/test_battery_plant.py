@@ -10,7 +10,7 @@ from scipy.signal import lti, step
 from adaptdrive.control.loads.battery import battery_load, physical
 from adaptdrive_sim.plants.battery import CELL_V, Battery, BatteryParameters
 from adaptdrive_sim.plants.boost import BoostParameters
-from adaptdrive_sim.world import World, WorldParameters
+from adaptdrive_sim.world import World
 
 DROOP_Ohm = 1.0
 TWO_ELEMENTS = BatteryParameters(
@@ -81,8 +81,8 @@ def test_source_for_a_current_lets_that_current_flow(output: float) -> None:
 
 def brake(*, bidirectional: bool) -> tuple[World, list[float]]:
     """Draw line current backwards until the boost voltage is below that of the battery."""
-    parameters = WorldParameters(boost=BoostParameters(bidirectional=bidirectional))
-    world = World(Battery(BatteryParameters(charge=0.8)), parameters)
+    boost = BoostParameters(bidirectional=bidirectional)
+    world = World(Battery(BatteryParameters(charge=0.8)), boost=boost)
     world.settle(world.boost_voltage_for(0.5))
     currents = []
     for _ in range(120):

@@ -29,7 +29,7 @@ class Host:
         self.events: list[tuple[str, dict[str, Any]]] = []
         settings = DeviceSettings(initial_voltage_V=300.0)
         self._drive = build_drive(configuration, settings, self._report)
-        node = KINDS[configuration.bus.type].drive(self._drive, configuration, EXAMPLE)
+        node = KINDS[configuration.bus.type][0](self._drive, configuration, EXAMPLE)
         assert isinstance(node, CanDrive)
         self._node, self._now_s, self.alive = node, 1000.0, 0
         node._clock = lambda: self._now_s

@@ -78,12 +78,10 @@ MOTOR = EXAMPLES / "motor.toml"
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (f"device {MOTOR} --disks 0", "disks = 0 must lie in 1…10"),
         (f"device {MOTOR} --noise -1", "NoiseParameters.sigma = -1.0 must lie in"),
         (f"device {MOTOR} --initial-voltage 100", "boost_voltage_V = 100.0 must be at least"),
         (f"device {MOTOR} --broker a/b", "broker 'a/b' is not HOST:PORT"),
         (f"device {MOTOR} --interface udp_multicast --port 0", "--port = 0 must lie in 1…65535"),
-        (f"device {EXAMPLES}/bath.toml --disks 3", "--disks 3: a bath has no shaft"),
         (f"device {EXAMPLES}/motor-cia402.toml --command-timeout 0.2", "watches a heartbeat"),
         ("device none.toml", "none.toml"),
         ("reproduce motor --output out --spikes often", "spikes 'often' is not RATE,SIGMA"),

@@ -9,17 +9,12 @@ from scipy.integrate import solve_ivp
 
 from adaptdrive_sim.plants.boost import LineParameters, Sample
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
-from adaptdrive_sim.world import NoiseParameters, World, WorldParameters
-
-ROUGH = WorldParameters(
-    line=LineParameters(drift_Hz=0.1),
-    noise=NoiseParameters(sigma=0.01, spike_share=0.02, spike_sigma=0.1),
-    seed=7,
-)
+from adaptdrive_sim.world import NoiseParameters, World
 
 
-def world(parameters: WorldParameters | None = None, disks: int = 1) -> World:
-    return World(Motor(MotorParameters(), disks), parameters)
+def rough() -> World:
+    noise = NoiseParameters(sigma=0.01, spike_share=0.02, spike_sigma=0.1)
+    return World(Motor(MotorParameters()), line=LineParameters(drift_Hz=0.1), noise=noise, seed=7)
 
 
 def run(plant: World, ticks: int) -> list[Sample]:
@@ -27,11 +22,11 @@ def run(plant: World, ticks: int) -> list[Sample]:
 
 
 def test_the_same_seed_gives_the_same_samples_bit_for_bit() -> None:
-    assert run(world(ROUGH), 2000) == run(world(ROUGH), 2000)
+    assert run(rough(), 2000) == run(rough(), 2000)
 
 
 def test_a_command_acts_one_half_cycle_after_its_frame() -> None:
-    plant = world()
+    plant = World(Motor(MotorParameters()))
     at_rest_V = plant.boost.voltage_V
     first = plant.step(0.1, bridge=True)
     second = plant.step(0.0, bridge=False)
@@ -44,7 +39,7 @@ def test_a_command_acts_one_half_cycle_after_its_frame() -> None:
 
 
 def test_settled_at_280_V_the_plant_has_its_published_operating_point_and_keeps_it() -> None:
-    plant = world()
+    plant = World(Motor(MotorParameters()))
     plant.settle(280.0)
     scale_S = plant.current_scale_S
     for _ in range(12_000):
@@ -55,7 +50,7 @@ def test_settled_at_280_V_the_plant_has_its_published_operating_point_and_keeps_
 
 
 def test_stage_and_motor_together_agree_with_an_independent_integrator() -> None:
-    plant, own = world(), MotorParameters()
+    plant, own = World(Motor(MotorParameters())), MotorParameters()
     plant.settle(273.0)
     start = [273.0**2, plant.load.emf_V / own.constant_Vs, plant.true_output]
     scale_S = 0.1
@@ -79,7 +74,7 @@ def test_stage_and_motor_together_agree_with_an_independent_integrator() -> None
 
 
 def test_the_noise_has_the_asked_deviation_and_leaves_the_truth_alone() -> None:
-    plant = world(WorldParameters(noise=NoiseParameters(sigma=0.004)))
+    plant = World(Motor(MotorParameters()), noise=NoiseParameters(sigma=0.004))
     plant.settle(280.0)
     scale_S = plant.current_scale_S
     errors = [plant.step(scale_S, bridge=True).output - plant.true_output for _ in range(8000)]
@@ -89,14 +84,14 @@ def test_the_noise_has_the_asked_deviation_and_leaves_the_truth_alone() -> None:
 
 
 def test_the_line_drifts_within_its_bounds_and_reaches_them() -> None:
-    samples = run(world(ROUGH), 12_000)
+    samples = run(rough(), 12_000)
     frequencies = [0.5 / sample.tick_period_s for sample in samples]
     assert (min(frequencies), max(frequencies)) == pytest.approx((59.9, 60.1), abs=1e-3)
 
 
 @pytest.mark.parametrize("line", [LineParameters(), LineParameters(drift_Hz=1e-9)])
 def test_a_sag_takes_its_share_for_its_time(line: LineParameters) -> None:
-    plant = world(WorldParameters(line=line))
+    plant = World(Motor(MotorParameters()), line=line)
     plant.step(0.0, bridge=False)
     plant.line.sag(0.2, 0.1)
     voltages = [plant.step(0.0, bridge=False).line_voltage_V for _ in range(40)]

@@ -11,6 +11,7 @@ import pytest
 from adaptdrive_sim.campaign import repeat_run, run_campaign
 from adaptdrive_sim.campaign.batteries import BatteryCampaign, BatteryScenario, draw_battery
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign_of
+from adaptdrive_sim.plants.battery import Battery
 
 SHIPPED = Path("battery.toml")
 TEXT = (FOLDER / SHIPPED).read_text(encoding="utf-8")
@@ -39,7 +40,7 @@ def test_every_charger_has_the_power_and_the_reach_of_the_example() -> None:
     for one in scenarios():
         configuration = one.configuration()
         assert one.largest_A * 4.1 * one.cells == pytest.approx(14.0 * 82.0)
-        coupling = one.world().coupling
+        coupling = one.world(Battery(one.battery())).coupling
         needed_V = 4.1 * one.cells + one.largest_A * coupling.droop_Ohm
         assert 0.9 * 400.0 * coupling.ratio < needed_V < 400.0 * coupling.ratio
         assert configuration.load.reference_max == one.largest_A

@@ -11,7 +11,7 @@ import pytest
 
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign import repeat_run, run_campaign, run_seed, workers
-from adaptdrive_sim.campaign.report import claims, failures, judge, shared_failures
+from adaptdrive_sim.campaign.report import claims, failures, judge, reason_of, shared_failures
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign
 from adaptdrive_sim.campaign.stands import Stand, deployed, draw
 
@@ -69,15 +69,14 @@ def test_a_run_that_fixed_control_does_not_hold_either_is_listed_apart_with_its_
     assert row["unstable_fixed"]
     assert row["unstable_adaptive"]
     assert failures([row]) == []
-    (shared,) = shared_failures([row])
-    assert shared.cause == "unstable, fixed too"
-    assert shared.reason == "V_c at a limit for 50% of the time"
+    assert shared_failures([row]) == [("unstable, fixed too", row)]
+    assert reason_of(row) == "V_c at a limit for 50% of the time"
     claim = claims([row])[0]
     assert claim.met
     assert claim.measured == "0 of 1; 1 with fixed control too"
     alone = row | {"unstable_fixed": False}
     assert shared_failures([alone]) == []
-    assert {failure.cause for failure in failures([alone])} == {"unstable"}
+    assert {cause for cause, _ in failures([alone])} == {"unstable"}
 
 
 def test_without_a_scheduler_there_the_address_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,10 +10,9 @@ import pytest
 
 from adaptdrive.runtime.requests import Disable
 from adaptdrive.safety.trips import Trip, TripKind
-from adaptdrive_sim.demo import DemoError, DemoSettings
-from adaptdrive_sim.demo.player import Player
-from adaptdrive_sim.demo.stages import VirtualStage
-from adaptdrive_sim.demo.story import DemoRecord, read_story
+from adaptdrive_sim.demo.player import DemoError, Player
+from adaptdrive_sim.demo.stage import Stage
+from adaptdrive_sim.demo.story import read_story
 from tests.support import sample
 
 PERIOD_S = 120.0
@@ -22,17 +21,16 @@ PERIOD_S = 120.0
 WAVE = {"shape": "square", "low": 2.6, "high": 4.2, "period_s": PERIOD_S}
 
 
-class Theatre(VirtualStage):
+class Theatre(Stage):
     """A stage that looks at the story after each step, and may do something."""
 
     def __init__(self, duration_s: float) -> None:
-        self.story = msgspec.structs.replace(read_story("braking"), duration_s=duration_s)
-        super().__init__(self.story, DemoSettings(speed=1e6, noise=0.0))
+        story = read_story("braking")
+        quiet = msgspec.structs.replace(story, duration_s=duration_s, noise=0.0)
+        super().__init__(quiet, speed=1e6)
         self.said: list[str] = []
         self.looks: list[Callable[[Player], None]] = [self._listen]
-        record = DemoRecord("motor", lambda: 0.0, story=self.story)
-        self.player = Player(self.story, self, record, None)
-        self.services(record)
+        self.player = Player(self, None)
 
     async def wait(self, longest_s: float) -> None:
         await super().wait(min(longest_s, 1.0))
@@ -58,11 +56,6 @@ class Theatre(VirtualStage):
             Trip(TripKind.OVER_VOLTAGE, "over-voltage: v_bst = 431 V, limit 430 V")
         )
 
-    @property
-    def record_now(self) -> DemoRecord:
-        assert self.record is not None
-        return self.record
-
 
 async def test_a_story_plays_its_scenes_and_ends() -> None:
     theatre = Theatre(70.0)
@@ -70,18 +63,18 @@ async def test_a_story_plays_its_scenes_and_ends() -> None:
     assert theatre.said[-2:] == [scene.say for scene in theatre.story.scenes]
     assert theatre.player.at_s == pytest.approx(70.0, abs=0.1)
     assert theatre.player.position.startswith("1:10 of 1:10 · scene 2 of 2")
-    assert theatre.record_now.trips == []
+    assert theatre.record.trips == []
 
 
 async def test_the_key_of_the_disks_always_changes_their_number() -> None:
     theatre = Theatre(70.0)
-    seen = [theatre.record_now.truth["disks"]]
+    seen = [theatre.record.truth["disks"]]
     for _ in range(6):
         command = theatre.player.dropped()
         assert command is not None
         assert (await theatre.ask(command)).accepted
-        theatre.services(theatre.record_now)  # publishes the truth
-        seen.append(theatre.record_now.truth["disks"])
+        theatre.report()  # publishes the truth
+        seen.append(theatre.record.truth["disks"])
     assert all(one != other for one, other in pairwise(seen))
 
 
@@ -89,7 +82,7 @@ async def test_after_a_trip_everything_is_brought_back_and_the_scene_begins_agai
     theatre = Theatre(200.0)
     theatre.once(100.0, theatre.latch)
     await theatre.player.run()
-    record = theatre.record_now
+    record = theatre.record
     assert len(record.trips) == 1
     assert "The drive tripped (over-voltage)" in "".join(theatre.said)
     assert record.state["state"] == "running"
@@ -121,15 +114,15 @@ async def test_whoever_stops_the_drive_has_it_until_the_viewer_goes_on() -> None
     def look(player: Player) -> None:
         assert player.paused
         assert "The drive was stopped." in player.say
-        assert not theatre.record_now.running
+        assert not theatre.record.running
         held.append(player.at_s)
         player.toggle()
 
     theatre.once(40.0, stop)
     await theatre.player.run()
     assert held[0] < 45.0
-    assert theatre.record_now.running
-    assert theatre.record_now.state["waveform"] == WAVE
+    assert theatre.record.running
+    assert theatre.record.state["waveform"] == WAVE
 
 
 @pytest.mark.parametrize("pause_s", sample([50.0, 7.0, 130.0], 1))

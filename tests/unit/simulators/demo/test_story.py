@@ -3,36 +3,31 @@
 from __future__ import annotations
 
 import asyncio
-from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
 from adaptdrive.util.errors import RefusedError
-from adaptdrive_sim.demo import DemoSettings
-from adaptdrive_sim.demo.main import KEYS, DemoView, summarise
+from adaptdrive_sim.demo.main import KEYS, run_demo, show, summarise
 from adaptdrive_sim.demo.player import Player
-from adaptdrive_sim.demo.stages import VirtualStage
-from adaptdrive_sim.demo.story import DemoRecord, Story, read_story, story_names
+from adaptdrive_sim.demo.stage import Stage
+from adaptdrive_sim.demo.story import Story, read_story, story_names
 
 STORIES = [read_story(name) for name in story_names()]
 BY_NAME = pytest.mark.parametrize("story", STORIES, ids=lambda one: one.name)
 
 
-def staged(story: Story, duration_s: float | None = None) -> tuple[VirtualStage, Player]:
-    """A story in virtual time, as fast as it goes."""
-    stage = VirtualStage(story, DemoSettings(speed=1e6))
-    record = DemoRecord(stage.drive_name, lambda: 0.0, story=story)
-    stage.services(record)
-    return stage, Player(story, stage, record, duration_s)
+def staged(story: Story, duration_s: float | None = None) -> tuple[Stage, Player]:
+    """A story as fast as it goes."""
+    stage = Stage(story, speed=1e6)
+    return stage, Player(stage, duration_s)
 
 
-def played(name: str, duration_s: float | None = None) -> tuple[VirtualStage, dict[str, Any]]:
+def played(name: str, duration_s: float | None = None) -> tuple[Stage, dict[str, Any]]:
     stage, player = staged(read_story(name), duration_s)
     asyncio.run(player.run())
-    assert stage.record is not None
-    return stage, summarise(stage.record, player, "")
+    return stage, summarise(player, "")
 
 
 @BY_NAME
@@ -52,7 +47,6 @@ def test_a_story_does_nothing_that_its_drive_refuses(story: Story) -> None:
         stage, player = staged(story)
         player.number = number
         asyncio.run(player._prepare())
-        assert stage.record is not None
         assert stage.record.state["enabled"] is True
         assert stage.record.trips == []
 
@@ -60,12 +54,9 @@ def test_a_story_does_nothing_that_its_drive_refuses(story: Story) -> None:
 @BY_NAME
 @pytest.mark.parametrize("size", [(80, 24), (160, 48)])
 def test_the_view_fills_the_terminal_and_cuts_nothing(story: Story, size: tuple[int, int]) -> None:
-    stage, player = staged(story, 30.0)
+    _, player = staged(story, 30.0)
     asyncio.run(player.run())
-    assert stage.record is not None
-    stage.places = {"folder": "/tmp/demo"}
-    view = DemoView(stage.record, player, stage)
-    text = "\n".join(lines := shown(view, size))
+    text = "\n".join(lines := shown(player, size))
     assert len(lines) == size[1]
     assert max(map(len, lines)) <= size[0]
     cut = [line for line in lines if "…" in line and not line.startswith(" ")]
@@ -75,21 +66,20 @@ def test_the_view_fills_the_terminal_and_cuts_nothing(story: Story, size: tuple[
     assert "truth" in text
     for key in set(KEYS) - {"d disk"}:
         assert key in text
-    view.help = True
-    assert "/tmp/demo" in "\n".join(shown(view, size))
+    player.takes("?")
+    assert "1e+06 times real time" in "\n".join(shown(player, size))
 
 
-def shown(view: DemoView, size: tuple[int, int]) -> list[str]:
+def shown(player: Player, size: tuple[int, int]) -> list[str]:
     console = Console(width=size[0], height=size[1], force_terminal=True, color_system=None)
     with console.capture() as capture:
-        console.print(view.screen(size))
+        console.print(show(player, size))
     return capture.get().splitlines()
 
 
 def test_braking_returns_the_energy_that_the_motor_gives() -> None:
     story = read_story("braking")
     stage, player = staged(story, 100.0)
-    assert stage.record is not None
     taken_J, tick = [0.0], stage.drive.tick
 
     def count() -> bool:
@@ -111,8 +101,18 @@ def test_the_battery_is_complete_in_the_end() -> None:
     assert summary["complete"] is True
     assert summary["state"] == "standby"
     assert summary["values"]["highest voltage"] < 1.005 * 82.0
-    assert stage.record is not None
     assert stage.record.events[-1]["kind"] == "complete"
+
+
+@pytest.mark.slow
+def test_the_adaptive_motor_overshoots_less_than_the_fixed_one() -> None:
+    _, summary = played("motor")
+    assert summary["ok"], summary
+    fixed, adaptive = (summary["overshoot"][name] for name in ("fixed", "adaptive"))
+    assert fixed["1 disk"] < 0.02
+    assert 0.05 < fixed["2 disks"] < fixed["3 disks"]
+    assert all(adaptive[name] < fixed[name] for name in ("2 disks", "3 disks"))
+    assert summary["truth"]["tau_sum_s"] == pytest.approx(21.7)
 
 
 @pytest.mark.proof
@@ -125,14 +125,16 @@ def test_the_adaptive_bath_overshoots_less_than_the_fixed_one() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("name", "duration_s", "speed", "flaw"),
     [
-        DemoSettings(speed=0.0),
-        DemoSettings(duration_s=0.0),
-        DemoSettings(noise=2.0),
-        DemoSettings(directory=Path("demo")),
+        ("motor", None, 0.0, "--speed 0"),
+        ("motor", None, 2e6, r"--speed 2e\+06"),
+        ("motor", 0.0, None, "--duration 0"),
+        ("kettle", None, None, "'kettle' is no story; there are bath, battery, braking, motor"),
     ],
 )
-def test_a_story_in_virtual_time_refuses_what_cannot_be_done(settings: DemoSettings) -> None:
-    with pytest.raises(RefusedError, match="--"):
-        settings.check(virtual=True)
+def test_what_cannot_be_done_is_refused(
+    name: str, duration_s: float | None, speed: float | None, flaw: str
+) -> None:
+    with pytest.raises(RefusedError, match=flaw):
+        run_demo(name, duration_s, headless=True, speed=speed)

@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from adaptdrive_sim.experiments.case import (
-    Case,
-    Design,
-    ReproduceRequest,
-    Variant,
-    case_settings,
-    run_case,
-)
+from adaptdrive_sim.experiments.case import Case, Design, Variant, run_case
 from adaptdrive_sim.experiments.experiment import MOTOR, Experiment, LoadChange
 from adaptdrive_sim.experiments.outcome import Outcome, judge
 from adaptdrive_sim.world import NoiseParameters
@@ -35,7 +28,7 @@ def make_case(
 ) -> Case:
     """One run; under the published noise when none is given."""
     noise = disturbance or NoiseParameters(experiment.noise)
-    return Case(experiment, variant, case_settings(experiment, variant, design), noise, seed)
+    return Case(experiment, design, noise, seed, variant)
 
 
 def outcome(
@@ -45,6 +38,5 @@ def outcome(
     seed: int = 0,
 ) -> Outcome:
     """The experiment in the paper's design."""
-    noise = disturbance or NoiseParameters(experiment.noise)
-    records = {one: run_case(make_case(experiment, one, "paper", noise, seed)) for one in variants}
-    return judge(ReproduceRequest(experiment, "paper", noise, seed), records)
+    case = make_case(experiment, "fixed", "paper", disturbance, seed)
+    return judge(case, {one: run_case(replace(case, variant=one)) for one in variants})

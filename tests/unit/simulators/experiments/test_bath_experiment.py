@@ -2,7 +2,7 @@
 
 import pytest
 
-from adaptdrive_sim.experiments.case import convergence_cycles, cycles, run_case
+from adaptdrive_sim.experiments.case import Design, convergence_cycles, cycles, run_case
 from adaptdrive_sim.experiments.experiment import BATH
 from adaptdrive_sim.world import NoiseParameters
 from tests.unit.simulators.experiments.cases import SEEDS, make_case, outcome
@@ -51,6 +51,11 @@ def test_the_daemons_own_design_keeps_the_bath_within_the_papers_limits() -> Non
     judged = cycles(BATH, "exact", run_case(make_case(BATH, "adaptive", "exact")))
     assert max(one.overshoot for one in judged) < 0.035
     assert judged[-1].model_error_rms < 0.02
+
+
+@pytest.mark.parametrize("design", ["paper", "exact"])
+def test_the_daemon_accepts_the_configuration_of_each_design(design: Design) -> None:
+    assert make_case(BATH, "adaptive", design).settings.rates.ticks_per_period == 2400
 
 
 def test_the_volume_rises_over_five_minutes() -> None:

@@ -11,12 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import figures
-from adaptdrive_sim.experiments.case import ReproduceRequest, Variant, run_case
+from adaptdrive_sim.experiments.case import Variant
 from adaptdrive_sim.experiments.experiment import DROPPED, LoadChange
 from adaptdrive_sim.experiments.figure import experiment_figure
-from adaptdrive_sim.experiments.outcome import Outcome, judge
-from adaptdrive_sim.world import NoiseParameters
-from tests.unit.simulators.experiments.cases import make_case
+from adaptdrive_sim.experiments.outcome import Outcome
+from tests.unit.simulators.experiments import cases
 
 SHORT = dataclasses.replace(
     DROPPED, duration_s=240.0, changes=(LoadChange(120.0, 2.0), LoadChange(180.0, 3.0))
@@ -26,8 +25,7 @@ VARIANTS: tuple[Variant, ...] = ("fixed", "adaptive", "direct_rls")
 
 @pytest.fixture(scope="module")
 def outcome() -> Outcome:
-    records = {one: run_case(make_case(SHORT, one, seed=81_200)) for one in VARIANTS}
-    return judge(ReproduceRequest(SHORT, "paper", NoiseParameters(SHORT.noise), 81_200), records)
+    return cases.outcome(SHORT, VARIANTS, seed=81_200)
 
 
 @pytest.fixture(scope="module")

@@ -38,10 +38,10 @@ def test_every_slow_period_is_recorded_once_from_its_first_tick_on() -> None:
 @pytest.mark.parametrize("latency", [1, 2, 5])
 def test_a_decision_takes_effect_after_the_latency(latency: int) -> None:
     """The loop's sum leaves out the present sample, the drive latches, the half cycle runs: 3."""
-    case = make_case(SHORT, "fixed", disturbance=NoiseParameters(0.0))
-    rates = dataclasses.replace(case.settings.rates, latency_ticks=latency)
-    settings = dataclasses.replace(case.settings, rates=rates)
-    record = run_case(dataclasses.replace(case, settings=settings), keep_ticks=True)
+    tables = SHORT.tables()
+    tables["load"]["latency_ticks"] = latency
+    late = dataclasses.replace(SHORT, tables=lambda: tables)
+    record = run_case(make_case(late, "fixed", disturbance=NoiseParameters(0.0)), keep_ticks=True)
     rest_V = record.fast_voltage_V[0]
     moved = [abs(voltage - rest_V) > 0.1 for voltage in record.fast_voltage_V[:20]]
     assert moved.index(True) == latency + 3
