@@ -24,6 +24,14 @@ class OutOfTimeError(Exception):
     """A measurement has taken longer than its box."""
 
 
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How long to measure: alternations, and the time of each where it has one."""
+
+    turns: int
+    turn_s: float
+
+
 @contextmanager
 def time_box(seconds: float) -> Iterator[None]:
     """End the block after so many seconds, in the main thread.
@@ -36,12 +44,12 @@ def time_box(seconds: float) -> Iterator[None]:
         raise OutOfTimeError(f"not measured within {seconds:g} s")
 
     before = signal.signal(signal.SIGALRM, end)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before_s, _ = signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_REAL, before_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,9 +148,8 @@ class Row:
         if self.doubt:
             return BUSY
         ratio = self.ratio
-        shown = (
-            f"{ratio.median:.2f} x ({ratio.low:.2f}–{ratio.high:.2f}), {self.ours:.3g} {self.unit}"
-        )
+        quartiles = f"{ratio.low:.2f}–{ratio.high:.2f}"
+        shown = f"{ratio.median:.2f} x ({quartiles}), {self.ours:.3g} {self.unit}"
         return f"{shown}{self._verdict}"
 
     @property
