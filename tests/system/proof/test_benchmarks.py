@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from tools.benchmarks import board
 from tools.benchmarks.__main__ import PARTS
 from tools.benchmarks.paired import __main__ as paired
 from tools.benchmarks.paired.pairs import BUSY, Effort
-from tools.builds.run import ROOT
+from tools.builds.run import PURE, ROOT
 
 ABSENT = ("is missing", "no compiled wheel", "No such file or directory: 'cyclictest'")
 """What a machine without a program of Debian, or without a C compiler, cannot measure."""
@@ -73,3 +74,12 @@ def test_a_part_that_takes_too_long_is_no_failure() -> None:
     rows = list(paired.measured({"steps": 0.05}, Effort(2, 0.5), failures))
     assert {(row.name, row.cell) for row in rows} == {("steps", BUSY)}
     assert failures == []
+
+
+@pytest.mark.slow
+@pytest.mark.proof
+def test_a_daemon_runs_on_a_tenth_of_a_processor() -> None:
+    done = run("tools.benchmarks.board", "--seconds", "2", "--build", PURE)
+    assert done.returncode == 0, done.stderr
+    for drive in board.DRIVES:
+        assert f"| {drive.rate}, {PURE} | " in done.stdout

@@ -1,0 +1,39 @@
+"""The warning of a machine on which a daemon has too little time."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.app.tick_cost import shortage
+from adaptdrive.config import load_configuration
+
+EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
+TICKS = 50
+"""Of a round."""
+
+DAEMON_TICKS = {100.0, 230.0}
+"""Processor time of a daemon in a half cycle, in ticks: of the sources, and compiled."""
+
+
+def warnings(example: str, tick_s: float) -> list[str]:
+    """The warnings of a machine on which a tick takes so long."""
+    configuration = load_configuration(EXAMPLES / f"{example}.toml")
+    times = itertools.count(0.0, TICKS * tick_s)
+    return [str(one) for one in shortage(configuration, lambda: next(times))]
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
+def test_each_kind_of_drive_and_load_can_be_measured(path: Path) -> None:
+    assert len(list(shortage(load_configuration(path)))) <= 1
+
+
+@pytest.mark.parametrize(("example", "cycle_s"), [("motor", 1 / 120), ("motor-modbus-tcp", 0.1)])
+def test_less_than_a_factor_of_three_is_warned_of(example: str, cycle_s: float) -> None:
+    limits_s = sorted(cycle_s / 3.0 / ticks for ticks in DAEMON_TICKS)
+    assert not warnings(example, 0.99 * limits_s[0])
+    (text,) = warnings(example, 1.01 * limits_s[1])
+    assert text.startswith("drive: a daemon takes about ")
+    assert f" ms of each {1e3 * cycle_s:.3g} ms on this machine" in text
