@@ -11,11 +11,9 @@ from types import FrameType
 from typing import Self
 
 LEAST_TURNS = 5
-NULL_MAX = 0.1
-"""Largest distance from 1 of the quartiles of the reference over itself."""
-
-SPREAD_MAX = 0.25
-"""Largest distance between the quartiles of a ratio, over its median."""
+SPREAD_MAX = 0.2
+"""Largest distance between the quartiles of a ratio, over its median: of ours to the reference, and
+of the reference to itself."""
 
 BUSY = "too busy to tell"
 
@@ -135,18 +133,19 @@ class Row:
         """Why the row says nothing; empty where it does."""
         if len(self.turns) < LEAST_TURNS:
             return self.problem or f"{len(self.turns)} turns of {LEAST_TURNS}"
-        null, ratio = Spread.of(turn.null for turn in self.turns), self.ratio
-        if max(1.0 / null.low, null.high) > 1.0 + NULL_MAX:
-            return f"the reference over itself {null.low:.2f}–{null.high:.2f}"
-        if ratio.high - ratio.low > SPREAD_MAX * ratio.median:
-            return f"{ratio.low:.2f}–{ratio.high:.2f}"
+        for what, spread in (
+            ("the reference over itself", Spread.of(turn.null for turn in self.turns)),
+            ("the ratio", self.ratio),
+        ):
+            if spread.high - spread.low > SPREAD_MAX * spread.median:
+                return f"{what} spreads from {spread.low:.2f} to {spread.high:.2f}"
         return ""
 
     @property
     def cell(self) -> str:
         """Ratio, quartiles, our figure and the verdict, for a table."""
         if self.doubt:
-            return BUSY
+            return self.problem or BUSY
         ratio = self.ratio
         quartiles = f"{ratio.low:.2f}–{ratio.high:.2f}"
         shown = f"{ratio.median:.2f} x ({quartiles}), {self.ours:.3g} {self.unit}"

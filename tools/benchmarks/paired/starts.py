@@ -8,16 +8,15 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tools.benchmarks.paired.pairs import Effort, Row, take_turns
+from tools.benchmarks.paired.pairs import Effort, Row, Turn
 from tools.benchmarks.site import broker, start_daemon
 from tools.benchmarks.tools import ROOT, bus_ports, bus_socket, is_command
 
-IMPORTS = "import aiomqtt, can, cantools, crccheck"
-SCRIPT = "imports of the script"
+LIBRARIES = "import aiomqtt, can, cantools, crccheck"
+IMPORTS = "imports of the script"
 MOTOR = ROOT / "deploy" / "examples" / "motor.toml"
 
 
@@ -27,16 +26,22 @@ def rows(environments: dict[str, dict[str, str]], effort: Effort) -> Iterator[Ro
         folder = Path(name)
         _, port = stack.enter_context(broker(folder))
         for build, environment in environments.items():
-            run = partial(_duration_s, environment)
-            imports = partial(run, "-c", IMPORTS)
-            first = partial(_to_command_s, folder / build, port, environment)
-            check = partial(run, "-m", "adaptdrive.cli", "check", str(MOTOR))
-            for title, job, most in (
-                ("start to the first command on the bus", first, 0.6),
-                ("`adaptdrive check motor.toml`", check, None),
-            ):
-                turns = take_turns(effort.turns, job, imports)
-                yield Row(title, build, "s", SCRIPT, turns, most=most)
+            home = folder / build
+            turns = [_turn(home, port, environment) for _ in range(effort.turns)]
+            first, check = zip(*turns, strict=True)
+            yield Row("start to the first command on the bus", build, "s", IMPORTS, first, most=0.6)
+            yield Row("`adaptdrive check motor.toml`", build, "s", IMPORTS, check)
+
+
+def _turn(folder: Path, broker_port: int, environment: dict[str, str]) -> list[Turn]:
+    """Start the daemon and the command, between imports of the libraries of the script."""
+    before_s = _duration_s(environment, "-c", LIBRARIES)
+    ours_s = (
+        _to_command_s(folder, broker_port, environment),
+        _duration_s(environment, "-m", "adaptdrive.cli", "check", str(MOTOR)),
+    )
+    after_s = _duration_s(environment, "-c", LIBRARIES)
+    return [Turn(one, before_s, after_s) for one in ours_s]
 
 
 def _duration_s(environment: dict[str, str], *words: str) -> float:
