@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import json
 from pathlib import Path
 
 import pytest
 
+from adaptdrive.app import tick_cost
 from adaptdrive.app.tick_cost import shortage
 from adaptdrive.config import load_configuration
+from tests.unit.cli.here import run_here
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 TICKS = 50
@@ -37,3 +40,11 @@ def test_less_than_a_factor_of_three_is_warned_of(example: str, cycle_s: float) 
     (text,) = warnings(example, 1.01 * limits_s[1])
     assert text.startswith("drive: a daemon takes about ")
     assert f" ms of each {1e3 * cycle_s:.3g} ms on this machine" in text
+
+
+def test_check_warns_also_for_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tick_cost, "_LEAST_ROOM", 1e9)  # as if every machine were too slow
+    example = str(EXAMPLES / "motor.toml")
+    assert "warning: drive: a daemon takes about" in run_here("check", example).stderr
+    warned = json.loads(run_here("check", "--json", example).stdout)["warnings"]
+    assert [text.partition(" about")[0] for text in warned] == ["drive: a daemon takes"]
