@@ -82,4 +82,4 @@ def test_a_daemon_runs_on_a_tenth_of_a_processor() -> None:
     done = run("tools.benchmarks.board", "--seconds", "2", "--build", PURE)
     assert done.returncode == 0, done.stderr
     for drive in board.DRIVES:
-        assert f"| {drive.rate}, {PURE} | " in done.stdout
+        assert f"| {drive.rate} | " in done.stdout

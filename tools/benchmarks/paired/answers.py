@@ -14,7 +14,7 @@ from tools.benchmarks.site import probe, site
 from tools.benchmarks.tools import bus_ports, process
 
 WAYS: dict[str, tuple[dict[str, str], float]] = {
-    "turn-around, p50": ({}, 2.0),
+    "turn-around": ({}, 2.0),
     "the same, `cpu_latency_us = 0`": ({"realtime.cpu_latency_us": "0"}, 1.5),
 }
 """Settings of the daemon, and the largest ratio that is wanted."""

@@ -148,7 +148,7 @@ class Row:
             return self.problem or BUSY
         ratio = self.ratio
         quartiles = f"{ratio.low:.2f}–{ratio.high:.2f}"
-        shown = f"{ratio.median:.2f} x ({quartiles}), {self.ours:.3g} {self.unit}"
+        shown = f"{ratio.median:.2f} ({quartiles}), {self.ours:.3g} {self.unit}"
         return f"{shown}{self._verdict}"
 
     @property
@@ -158,5 +158,5 @@ class Row:
             (self.ratio.median, self.most_ratio, " x"),
         ):
             if limit is not None:
-                return f"; at most {limit:g}{unit}: {'met' if found <= limit else 'not met'}"
+                return f"; {'within' if found <= limit else 'over'} {limit:g}{unit}"
         return ""

@@ -20,8 +20,8 @@ from tools.benchmarks.site import broker, start_daemon
 from tools.benchmarks.tools import bus_ports, cpu_s, process
 from tools.builds.run import COMPILED, PURE
 
-SHARE, RESIDENT = "processor time of a daemon with its log", "resident memory"
-SCRIPT, ECHO = "the script", "a bare echo in Python"
+SHARE, RESIDENT = "daemon with its log, processor", "the same, memory"
+SCRIPT, ECHO = "the script", "a bare echo"
 MOST_RATIO = {PURE: 1.0, COMPILED: 0.8}
 """Processor time of a daemon over that of the script."""
 
@@ -44,7 +44,7 @@ def rows(environments: dict[str, dict[str, str]], effort: Effort) -> Iterator[Ro
     for i, build in enumerate(environments):
         script, echo = _turns(shares, i, -4), _turns(shares, i, -2)
         yield Row(SHARE, build, "%", SCRIPT, script, most_ratio=MOST_RATIO[build])
-        yield Row("the same", build, "%", ECHO, echo)
+        yield Row(SHARE, build, "%", ECHO, echo)
         yield Row(RESIDENT, build, "MiB", SCRIPT, _turns(sizes, i, -4), most=80.0)
 
 

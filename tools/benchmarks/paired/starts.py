@@ -16,7 +16,7 @@ from tools.benchmarks.site import broker, start_daemon
 from tools.benchmarks.tools import ROOT, bus_ports, bus_socket, is_command
 
 LIBRARIES = "import aiomqtt, can, cantools, crccheck"
-IMPORTS = "imports of the script"
+IMPORTS = "the script's imports"
 MOTOR = ROOT / "deploy" / "examples" / "motor.toml"
 
 
@@ -29,7 +29,7 @@ def rows(environments: dict[str, dict[str, str]], effort: Effort) -> Iterator[Ro
             home = folder / build
             turns = [_turn(home, port, environment) for _ in range(effort.turns)]
             first, check = zip(*turns, strict=True)
-            yield Row("start to the first command on the bus", build, "s", IMPORTS, first, most=0.6)
+            yield Row("start to first command", build, "s", IMPORTS, first, most=0.6)
             yield Row("`adaptdrive check motor.toml`", build, "s", IMPORTS, check)
 
 

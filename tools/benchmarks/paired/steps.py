@@ -54,13 +54,13 @@ SLOW_STEPS = 52
 
 _MUCH = np.zeros(4 * 2**20)
 
-TICK, COLD_TICK = "tick, two frames decoded, one encoded", "the same with cold caches"
-SLOW_STEP, LOG_ROW = "slow step: estimate, supervise, design", "a row of the log"
+TICK, COLD_TICK = "tick with its frames", "the same, cold caches"
+SLOW_STEP, LOG_ROW = "slow step", "row of the log"
 AGAINST = {
     TICK: "the script's step",
     COLD_TICK: "the script's step",
-    SLOW_STEP: "an update of padasip's RLS",
-    LOG_ROW: "a row of csv",
+    SLOW_STEP: "padasip's RLS",
+    LOG_ROW: "row of csv",
 }
 
 
