@@ -14,16 +14,15 @@ from adaptdrive.control.signals import Measurement, Mode, Order, Stage
 from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.errors import Flaw
 
-_LEAST_ROOM: Final = 3.0
-"""Half cycles over the processor time that a daemon takes in each."""
+_LARGEST_SHARE: Final = 1.0 / 3.0
+"""Of a half cycle, that a daemon may take."""
 
 _TICKS_IN_ALL: Final = {"compiled": 230.0}.get(build_name(), 100.0)
 """Processor time of a daemon in a half cycle, in ticks of its controller with warm caches: 633 us
 over 2.8 us compiled, 740 us over 7.4 us of the sources."""
 
-_ROUNDS: Final = 8
-_TICKS: Final = 50
-"""Ticks of a round, of which the fastest counts."""
+_ROUNDS, _TICKS = 8, 50
+"""Rounds, of which the fastest counts, and ticks of each."""
 
 
 def shortage(
@@ -35,14 +34,13 @@ def shortage(
         configuration: The drive and its load.
         clock: Processor time of this thread, in s.
     """
-    tick_s, cycle_s = _tick_s(configuration, clock), timing_of(configuration).reading_s
-    daemon_s = _TICKS_IN_ALL * tick_s
-    if cycle_s < _LEAST_ROOM * daemon_s:
+    cycle_s = timing_of(configuration).reading_s
+    daemon_s = _TICKS_IN_ALL * _tick_s(configuration, clock)
+    if daemon_s > _LARGEST_SHARE * cycle_s:
         text = (
-            f"a daemon takes about {daemon_s * 1e3:.2g} ms of each {cycle_s * 1e3:.3g} ms on this"
+            f"a daemon takes about {daemon_s * 1e3:.2g} ms of each {cycle_s * 1e3:.3g} ms on this "
         )
-        text += f" machine (a tick {tick_s * 1e6:.3g} us): expect late and missed ticks"
-        yield Flaw("drive", f"{text} (docs/proof/realtime.md)")
+        yield Flaw("drive", f"{text}machine: ticks will be late or missed (docs/proof/realtime.md)")
 
 
 def _tick_s(configuration: Configuration, clock: Callable[[], float]) -> float:
@@ -51,13 +49,13 @@ def _tick_s(configuration: Configuration, clock: Callable[[], float]) -> float:
     controller = Controller(controller_settings(configuration), build_load(configuration))
     output = 0.5 * (load.reference_min + load.reference_max)
     order = Order(Stage.RUN, output, Mode.ADAPTIVE, load.pole)
-    known = drive.limits.boost_reference_min_V, drive.line_voltage_V, 0.0, output
+    known = drive.half_cycle_s, drive.limits.boost_reference_min_V, drive.line_voltage_V, 0.0
     fastest_s = math.inf
     for first in range(0, _ROUNDS * _TICKS, _TICKS):
         began_s = clock()
         for tick in range(first, first + _TICKS):
-            controller.tick(Measurement(tick, drive.half_cycle_s, *known), order)
-            if (snapshot := controller.take_snapshot()) is not None:
+            controller.tick(Measurement(tick, *known, output), order)
+            if snapshot := controller.take_snapshot():
                 controller.apply(controller.decide(snapshot))
         fastest_s = min(fastest_s, clock() - began_s)
     return fastest_s / _TICKS

@@ -43,7 +43,7 @@ def test_less_than_a_factor_of_three_is_warned_of(example: str, cycle_s: float) 
 
 
 def test_check_warns_also_for_programs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tick_cost, "_LEAST_ROOM", 1e9)  # as if every machine were too slow
+    monkeypatch.setattr(tick_cost, "_LARGEST_SHARE", 1e-9)  # as if every machine were too slow
     example = str(EXAMPLES / "motor.toml")
     assert "warning: drive: a daemon takes about" in run_here("check", example).stderr
     warned = json.loads(run_here("check", "--json", example).stdout)["warnings"]
