@@ -2,7 +2,6 @@
 # `make` on its own lists the targets.
 
 PYTHON ?= python3
-MINUTES ?= 1
 EXTRAS := sim,canopen,analysis,control,export,shell,cluster,dev
 DEMO_EXTRAS := sim,analysis
 , := ,
@@ -22,7 +21,7 @@ packed := LICENSE README.md pyproject.toml constraints.txt $(shell find src simu
 # Without a cache of bytecode each of the processes that the tests start compiles the sources again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test peers quick lint bench proof branches tables rivals docs wheel compiled deb constraints clean
+.PHONY: help demo test peers quick lint bench board proof branches tables rivals docs wheel compiled deb constraints clean
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
@@ -45,8 +44,11 @@ lint: $(installed) ## lint, formatting, types and import layers
 	$(bin)/mypy
 	$(bin)/lint-imports
 
-bench: $(installed) ## measure speed and real time; MINUTES=10 looks longer for late ticks
-	$(bin)/python -m tools.benchmarks --minutes $(MINUTES)
+bench: $(installed) ## measure in five minutes what a daemon costs; PAGE=docs/proof/realtime.md writes the table there
+	$(bin)/python -m tools.benchmarks.paired $(if $(PAGE),--write-page $(PAGE))
+
+board: $(installed) ## run daemons on a tenth of a core, as on a small board, for five minutes; PAGE as above
+	$(bin)/python -m tools.benchmarks.board $(if $(PAGE),--write-page $(PAGE))
 
 proof: $(installed) peers ## run the long forms of the tests and write docs/proof/proof.md and the faults of docs/proof/reliability.md; takes hours
 	@tools/vm/prepare || true

@@ -1,7 +1,7 @@
-"""`make bench`: all benchmarks, one table, and `build/bench.json`.
+"""The long measurements, of which `make proof` runs all: one table, and a file.
 
-`python -m tools.benchmarks --quick --only compute` runs a part of it for a short time, and
-`make bench MINUTES=10` looks for rare late ticks for longer.
+`python -m tools.benchmarks --quick --only lateness` runs a part of them for a short time, with
+`--minutes 10` it looks for rare late ticks for longer. `make bench` is `tools.benchmarks.paired`.
 """
 
 from __future__ import annotations
@@ -11,35 +11,41 @@ import importlib
 import os
 import platform
 import signal
+import subprocess
 import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from adaptdrive import build_name
 from adaptdrive.app.process import NAMESPACE
 from tools.benchmarks.rows import Extent, Row, table, write_json
+from tools.builds.run import BUILDS, environments
 
 PARTS = (
-    *("compute", "path", "lateness", "turnaround", "load", "daemon", "daemons", "stop"),
-    *("kills", "day", "stalled_disk", "page_storm", "topic_storm", "builds", "equality"),
+    *("lateness", "load", "daemons", "stop", "kills"),
+    *("day", "stalled_disk", "page_storm", "topic_storm", "equality"),
 )
-RESULT = Path("build/bench.json")
+RESULT = Path("build/measured.json")
 
 
 def main() -> int:
     """Run them; 1 when a part could not be measured."""
     os.environ.setdefault(NAMESPACE, f"benchmarks-{os.getpid()}")  # other runs have a "motor" too
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that what was started is ended
-    parser = argparse.ArgumentParser(prog="make bench")
+    parser = argparse.ArgumentParser(prog="python -m tools.benchmarks")
     parser.add_argument("--quick", action="store_true", help="seconds instead of minutes")
     parser.add_argument("--shortest", action="store_true", help="only to see that it can be run")
     parser.add_argument("--only", choices=PARTS, action="append", help="a part; may be repeated")
     parser.add_argument(
         "--minutes", type=float, default=1.0, help="of ticks on the timer, for rare late ones"
     )
+    parser.add_argument("--build", choices=BUILDS, help="instead of the one that is installed")
     parser.add_argument("--output", type=Path, default=RESULT)
     options = parser.parse_args()
+    if options.build not in {None, build_name()}:
+        return _again_with(options.build)
     rows: list[Row] = []
     missed: list[str] = []
     facts: dict[str, object] = {
@@ -72,6 +78,12 @@ def main() -> int:
         f"{''.join(f' {name}' for name in missed)}; {options.output}\n"
     )
     return int(bool(missed))
+
+
+def _again_with(build: str) -> int:
+    with TemporaryDirectory() as name:
+        command = [sys.executable, "-m", "tools.benchmarks", *sys.argv[1:]]
+        return subprocess.call(command, env=environments(Path(name))[build])
 
 
 if __name__ == "__main__":

@@ -9,9 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tools.benchmarks.builds import unpacked
 from tools.benchmarks.rows import Extent, Row
-from tools.builds.run import BUILDS, COMPILED, PURE, ROOT, run_with
+from tools.builds.run import BUILDS, COMPILED, PURE, ROOT, run_with, unpacked
 
 BATCH = 50
 DURATION_S = 120.0

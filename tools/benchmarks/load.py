@@ -19,9 +19,8 @@ from contextlib import ExitStack, contextmanager
 from tests.support import Process, children
 from tools.benchmarks.lateness import cyclictest
 from tools.benchmarks.rows import Extent, Row, quantile
-from tools.benchmarks.site import Running, runs, site
+from tools.benchmarks.site import Running, probe, runs, site
 from tools.benchmarks.tools import PRIORITY, process
-from tools.benchmarks.turnaround import probe
 
 HOG = "while True: pass"
 COMMANDS_PER_S = 1000

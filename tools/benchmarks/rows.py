@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -65,18 +64,6 @@ def quantile(values: Sequence[float], share: float) -> float:
     """The value that a share of the values does not exceed."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
-
-
-def alternating(jobs: Sequence[Callable[[], object]], calls: int, rounds: int) -> list[float]:
-    """Median time of one call of each job, in microseconds; the jobs take turns."""
-    times: list[list[float]] = [[] for _ in jobs]
-    for _ in range(rounds):
-        for job, found in zip(jobs, times, strict=True):
-            began_s = time.perf_counter()
-            for _ in range(calls):
-                job()
-            found.append((time.perf_counter() - began_s) / calls * 1e6)
-    return [quantile(found, 0.5) for found in times]
 
 
 def table(rows: Sequence[Row]) -> Iterator[str]:

@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -16,7 +17,8 @@ from tempfile import TemporaryDirectory
 
 from tests.support import MosquittoLauncher, Process, free_port, stop_process
 from tests.system.daemon.site import Site, motor_configuration
-from tools.benchmarks.tools import PRIORITY, bus_ports, process
+from tools.benchmarks.prober import SETTLE_S
+from tools.benchmarks.tools import BUSY, PRIORITY, bus_ports, process, run_json
 
 REALTIME = {
     "realtime.priority": str(PRIORITY),
@@ -41,8 +43,13 @@ class Running:
         subprocess.run([*command, "-m", payload], check=True, timeout=20.0)
 
 
-def start_daemon(
-    stack: ExitStack, folder: Path, bus_port: int, broker_port: int, changes: dict[str, str]
+def start_daemon(  # noqa: PLR0917
+    stack: ExitStack,
+    folder: Path,
+    bus_port: int,
+    broker_port: int,
+    changes: dict[str, str],
+    environment: dict[str, str] = BUSY,
 ) -> Running:
     """Start a daemon."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -51,7 +58,8 @@ def start_daemon(
     log = folder / "daemon.log"
     output = stack.enter_context(log.open("ab"))
     command = [sys.executable, "-m", "adaptdrive.cli", "run", str(config)]
-    daemon = stack.enter_context(process(command, stdout=output, stderr=output, cwd=folder))
+    streams = {"stdout": output, "stderr": output}
+    daemon = stack.enter_context(process(command, cwd=folder, env=environment, **streams))
     return Running(daemon, bus_port, broker_port, log)
 
 
@@ -67,13 +75,15 @@ def broker(folder: Path) -> Iterator[tuple[Process, int]]:
 
 
 @contextmanager
-def site(changes: dict[str, str]) -> Iterator[tuple[Running, Process]]:
+def site(
+    changes: dict[str, str], environment: dict[str, str] = BUSY
+) -> Iterator[tuple[Running, Process]]:
     """A daemon and its broker, in a folder that is removed."""
     with TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
         mosquitto, port = stack.enter_context(broker(folder))
         (bus_port,) = bus_ports(1)
-        yield start_daemon(stack, folder, bus_port, port, changes), mosquitto
+        yield start_daemon(stack, folder, bus_port, port, changes, environment), mosquitto
 
 
 @contextmanager
@@ -110,3 +120,16 @@ def enable(running: Running, drive: str = "motor", patience_s: float = 120.0) ->
 def runs(running: Running) -> bool:
     """Whether the drive has been running."""
     return "starting to running" in running.log.read_text(encoding="utf-8")
+
+
+def probe(running: Running, seconds: float, ports: list[int]) -> dict[str, list[float]]:
+    """Replay frames for so long, with the drive running; return the times to the answers."""
+    operator = threading.Thread(target=enable, args=(running,))
+    operator.start()
+    words = ",".join(map(str, ports))
+    times = run_json("tools.benchmarks.prober", seconds + SETTLE_S, words)
+    operator.join()
+    if not runs(running):
+        log = running.log.read_text(encoding="utf-8")
+        raise RuntimeError(f"the drive did not run: {log}")
+    return times

@@ -15,13 +15,25 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, fast_settings, machine_limits
 from adaptdrive.config.services import Realtime
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.signals import Snapshot
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.realtime import real_time
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.clock import TickTimer
-from tests.loopback_port import LoopbackPort
+from tests.loopback_port import LoopbackPort, Quiet
 from tests.unit.devices.bench import MOTOR
-from tools.benchmarks.compute import Kept
+
+
+class Kept(Quiet):
+    """Surroundings of a fast loop that keep the last snapshot alone."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.snapshot: Snapshot | None = None
+
+    def snapshot_taken(self, snapshot: Snapshot) -> bool:
+        self.snapshot = snapshot
+        return True
 
 
 class Timed(Kept):

@@ -16,7 +16,7 @@ import msgpack
 from can.interfaces.udp_multicast.utils import pack_message
 
 from adaptdrive.app.process import NAMESPACE
-from tools.benchmarks.compute import status_frames
+from tools.benchmarks.frames import status_frames
 
 ROOT = Path(__file__).parents[2]
 GROUP = "239.74.163.2"
@@ -111,7 +111,7 @@ def run_json(module: str, *words: object) -> dict[str, list[float]]:
 @contextmanager
 def process(command: Sequence[str | Path], **options: object) -> Iterator[subprocess.Popen[bytes]]:
     """A process that ends with the block."""
-    started = subprocess.Popen(command, env=BUSY, **options)  # type: ignore[call-overload]
+    started = subprocess.Popen(command, **{"env": BUSY, **options})  # type: ignore[call-overload]
     try:
         yield started
     finally:

@@ -76,6 +76,7 @@ def forms() -> tuple[Form, ...]:
              as_table=True),
         Form("kills", "Processes killed at random moments",
              ("-m", "tools.benchmarks", "--only", "kills"), {"KILLS": kills}),
+        Form("measurements", "Long measurements", ("-m", "tools.benchmarks"), is_shown=False),
         Form("soak-virtual", "Days of operators and faults in virtual time",
              ("-m", "tools.soak", "virtual", days, *at_most), as_table=True),
         Form("soak-real", "A site in real time at 120 Hz",

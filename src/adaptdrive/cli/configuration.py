@@ -246,7 +246,8 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     """Validate a configuration; list every error with its place.
 
     The DBC or register map and the capacity of each link are checked too; no bus is opened. Values
-    that can be used, but are probably not meant, give a warning on standard error.
+    that can be used, but are probably not meant, give a warning on standard error; so does a
+    machine on which a daemon takes more than a third of each half cycle.
 
     Args:
         config: Configuration file.
@@ -257,7 +258,9 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     """
     if as_json:
         try:
-            report = sound_report(load_examined(config), config)
+            configuration = load_examined(config)
+            report = sound_report(configuration, config)
+            report["warnings"] += _shortage(configuration)
         except ConfigurationError as flawed:
             report = flawed_report(flawed)
         print_json(report)
@@ -273,6 +276,8 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     configuration = examine_text(text, config)
     if isinstance(configuration.bus, CanLink) and (problem := missing_here(configuration.bus)):
         print(f"adaptdrive: {config}: not on this machine: {problem}", file=sys.stderr)
+    for one in _shortage(configuration):
+        _warn(config, one)
     if configuration.signals.bridge is None and not configuration.bus.has_bridge_words:
         print(f"{config}: signals.bridge is missing: the drive cannot confirm that it has stopped")
     print(tables(configuration, config))
@@ -293,6 +298,13 @@ def _advise(config: Path, text: str) -> None:
         with suppress(ConfigurationError):  # of a DBC, EDS or register map: refused later
             for one in advice(configuration):
                 _warn(config, one)
+
+
+def _shortage(configuration: Configuration) -> list[str]:
+    """Return the warnings of a machine that is too slow."""
+    from adaptdrive.app.tick_cost import shortage  # noqa: PLC0415 - `init` needs no controller
+
+    return [str(one) for one in shortage(configuration)]
 
 
 def schema() -> int:
