@@ -108,7 +108,7 @@ def draw_session(session: reader.Session, configuration: Configuration, curves: 
     with journal():
         figure = Figure(figsize=(WIDTH_in, 6.4), layout="constrained")
         axes = figure.subplots(4, 1, sharex=True, height_ratios=(1.5, 1.2, 1.2, 0.45))
-        begin_s, end_s, started = curves.window
+        begin_s, end_s, _ = curves.window
         span_s = end_s - begin_s
         scale_s, unit = next((s, u) for most, s, u in _UNITS_OF_TIME if span_s <= most)
         _draw_output(axes[0], session, curves, scale_s)
