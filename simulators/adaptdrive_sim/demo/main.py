@@ -82,7 +82,7 @@ def story_table(record: DemoRecord) -> tuple[str, Table]:
     for k, name in enumerate(known.names):
         found = (record.halves.overshoot(controller, k) for controller in CONTROLLERS)
         table.add_row(name, *("·" if one is None else f"{100.0 * one:.1f}" for one in found))
-    return "overshoot, %", table
+    return "overshoot of the last step, %", table
 
 
 # `adaptdrive-sim demo`: plays one story, and prints its figures and what was seen in a picture.

@@ -223,7 +223,7 @@ class Halves:
         self._case, self._reference = None, reference
 
     def overshoot(self, controller: str, size: int) -> float | None:
-        """The largest overshoot of the half waves of a case, None before the first."""
+        """The overshoot of the last half wave of a case, None before the first."""
         return self._found.get((controller, size))
 
     def _close(self) -> None:
@@ -232,7 +232,7 @@ class Halves:
         if case is None or self._reference is None or len(self._outputs) < _SETTLED_PERIODS:
             return
         beyond, _ = judge_step(np.array(self._outputs), self._before, self._reference)
-        self._found[case] = max(beyond, self._found.get(case, 0.0))
+        self._found[case] = beyond
 
 
 TRIPPED = "trip"

@@ -28,8 +28,8 @@ def feed(
         ),
         pytest.param(
             [(3.0, [3.0]), (3.2, [3.3] * LONG), (3.0, [2.98] * LONG), (3.2, [3.21] * LONG)],
-            0.50,
-            id="largest of all",
+            0.05,
+            id="last of all",
         ),
         pytest.param([(3.0, [3.0]), (3.2, [3.1] * LONG)], 0.0, id="never arrives"),
         pytest.param([(3.0, [3.0]), (3.2, [3.3] * 5)], None, id="cut short"),
@@ -47,8 +47,8 @@ def test_each_controller_and_load_has_its_own_and_a_change_ends_a_half_wave() ->
     halves = Halves()
     feed(halves, 3.0, [3.0])
     feed(halves, 3.2, [3.24] * LONG, ("fixed", 3))
-    feed(halves, 3.0, [2.998] * LONG, ("adaptive", 3))
-    feed(halves, 3.2, [3.2] * LONG, ("adaptive", 3))
+    feed(halves, 3.0, [2.98] * LONG, ("adaptive", 3))
+    feed(halves, 3.2, [3.202] * LONG, ("adaptive", 3))
     feed(halves, 3.2, [3.4] * LONG, ("adaptive", 2))
     feed(halves, 3.0, [3.05] * 4, ("adaptive", 2))
     feed(halves, 3.0, [2.982] * LONG, ("fixed", 2))  # adaptive fell back
