@@ -17,6 +17,8 @@ from typing import Any
 import msgspec
 
 from adaptdrive import __version__
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.section import si_unit
@@ -24,7 +26,7 @@ from adaptdrive.control.estimation.direct import METHODS
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.devices.description import description_text
-from adaptdrive.recording import log_files, recorder, records, session
+from adaptdrive.recording import health, log_files, recorder, records, session
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import NOT_JSON, RecordingError, escaped
@@ -35,6 +37,9 @@ _EVERY_S = 60.0
 """Shortest time between two records."""
 
 _REPORTS_HELD = 8
+_LEAST_SHARE = 1e-3
+"""Least 1 - ρ: without forgetting an estimate would know all that there ever was."""
+
 _MEASURED = ("drive", "bus", "signals", "sensor_bus", "derived", "voltage_loop")
 _INPUT = {"turns_ratio", "droop_Ohm", "heater_Ohm"}
 _MEANING: dict[str, Any] = {
@@ -264,10 +269,27 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
         config_text=text,
         segment_s=recording.segment_s,
         keep=records.Keep(recording.keep_days, None if size is None else round(size * 1e6)),
+        health=health_settings(configuration),
     )
     pace = records.Pace(start_thread=start_thread)
     clock = lambda: (now_s(), time.time())  # noqa: E731
     return recorder.Recorder(*place_of(configuration), header, hub, clock, pace, recalled)
+
+
+def health_settings(configuration: Configuration) -> records.HealthSettings:
+    """Return what gives the estimates of a drive their meaning for the health of its load."""
+    settings, load = controller_settings(configuration), build_load(configuration)
+    if not is_kept(settings):
+        return records.HealthSettings()
+    kind, learning = configuration.load.type, settings.learning
+    nominal = dict(zip(load.names, _nominal(load), strict=True))
+    share = max(1.0 - learning.forgetting, _LEAST_SHARE)
+    return records.HealthSettings(
+        load=kind,
+        share=share,
+        least_excitation=learning.gate * share,
+        nominal=nominal | health.derived(kind, nominal),
+    )
 
 
 def place_of(configuration: Configuration) -> tuple[Path, Path | None]:

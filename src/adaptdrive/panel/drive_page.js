@@ -150,7 +150,7 @@ const DrivePage = (() => {
   function estimateRow(name, one, names, outputUnit, givenUnit) {
     const { text, unit } = Contract.named(name, names, outputUnit, givenUnit);
     const doubt = one.std == null ? "uncertainty unknown" : `± ${Dom.number(2 * one.std, unit, 2)} (2 σ)`;
-    const known = !(2 * (one.std ?? 0) >= Math.abs(one.value ?? Infinity));
+    const known = name === "input_offset" || !(2 * (one.std ?? 0) >= Math.abs(one.value ?? Infinity));
     return [text, known ? Dom.number(one.value, unit) : "not known", doubt];
   }
 

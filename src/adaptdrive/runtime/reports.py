@@ -14,6 +14,7 @@ from typing import Annotated, Any, Generic, TypeVar
 
 from adaptdrive.control import signals
 from adaptdrive.control.signals import UNKNOWN, Reach
+from adaptdrive.runtime.health import HealthReport
 from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import escaped
 from adaptdrive.util.quantity import Quantity, columns_of
@@ -211,7 +212,7 @@ EVENT_KINDS = (
     *("trip", "state", "controller", "mode", "fallback", "complete", "stop", "refused", "bus"),
     "warning",
     *("latency", "realtime", "checkpoint", "recording", "state directory"),
-    *("broker", "command", "outbox", "configuration"),
+    *("broker", "command", "outbox", "configuration", "health"),
 )
 """Kinds of events: of the drive, of the daemon's machine, and of the operators' side."""
 
@@ -291,7 +292,16 @@ class CommandReport:
     reason: str
 
 
-Report = StateReport | LoadReport | DriveReport | SensorSample | Event | TickReport | CommandReport
+Report = (
+    StateReport
+    | LoadReport
+    | DriveReport
+    | SensorSample
+    | Event
+    | TickReport
+    | CommandReport
+    | HealthReport
+)
 
 TICK_COLUMNS = columns_of(TickReport)
 SLOW_COLUMNS = columns_of(LoadReport)

@@ -86,13 +86,16 @@ def archive_in_process(patch: pytest.MonkeyPatch) -> None:
     """Run the archiver here; its time is that of the event loop."""
     loop = asyncio.get_running_loop()
 
-    def run(command: Sequence[str], notify: Callable[[Severity, str], None]) -> str:
+    def run(command: Sequence[str], notify: archiver.Report) -> str:
+        def report(severity: Severity, detail: str) -> None:
+            notify((severity, detail, archiver.EVENT_KIND))
+
         try:
-            trips = archive(Path(command[4]), loop.time(), float(command[5]), notify)
+            trips = archive(Path(command[4]), loop.time(), float(command[5]), report)
         except ERRORS as problem:
             return str(problem)
         for directory in trips:
-            notify(Severity.INFO, f"the record of the trip is in {directory}")
+            report(Severity.INFO, f"the record of the trip is in {directory}")
         return ""
 
     def at_once(call: Callable[[], str], _: str) -> Future[str]:
