@@ -6,6 +6,7 @@ carries a hash; another one is not used, with a warning.
 
 import hashlib
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -23,10 +24,11 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.section import si_unit
 from adaptdrive.control.estimation.direct import METHODS
+from adaptdrive.control.loads import quantities
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.devices.description import description_text
-from adaptdrive.recording import health, log_files, recorder, records, session
+from adaptdrive.recording import log_files, recorder, records, session
 from adaptdrive.runtime.reports import Event, Hub, LoadReport, Severity
 from adaptdrive.util.clock import now_s
 from adaptdrive.util.errors import NOT_JSON, RecordingError, escaped
@@ -283,13 +285,32 @@ def health_settings(configuration: Configuration) -> records.HealthSettings:
         return records.HealthSettings()
     kind, learning = configuration.load.type, settings.learning
     nominal = dict(zip(load.names, _nominal(load), strict=True))
+    nominal |= quantities.derived(kind, nominal)
+    bounds = {}
+    for name, one in configuration.health.bounds.items():
+        scale = nominal.get(name, math.nan) if one.relative else 1.0
+        bounds[name] = tuple(None if end is None else scale * end for end in (one.min, one.max))
     share = max(1.0 - learning.forgetting, _LEAST_SHARE)
     return records.HealthSettings(
         load=kind,
         share=share,
         least_excitation=learning.gate * share,
-        nominal=nominal | health.derived(kind, nominal),
+        nominal=nominal,
+        bounds=bounds,
     )
+
+
+def health_names(configuration: Configuration) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the quantities of the load that health knows, and those of them with a nominal value.
+
+    Both are empty where the estimates are no physical parameters.
+    """
+    settings = health_settings(configuration)
+    losses = quantities.LOSSES.get(settings.load)
+    if losses is None:
+        return (), ()
+    offset = (quantities.OFFSET, losses) if controller_settings(configuration).learning.bias else ()
+    return (*settings.nominal, *offset), tuple(settings.nominal)
 
 
 def place_of(configuration: Configuration) -> tuple[Path, Path | None]:

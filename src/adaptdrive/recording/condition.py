@@ -191,7 +191,7 @@ def crossings(rows: Sequence[health.Row], settings: HealthSettings) -> list[Cros
         verdict = None if level is None else _is_outside(*level, bounds)
         if level is not None and verdict is not None and verdict != (name in outside):
             row = health.BoundRow(hours[-1].time, name, verdict)
-            found.append(Crossing(row, _sentence(name, level, bounds, outside=verdict)))
+            found.append(Crossing(row, _sentence(name, level, settings, outside=verdict)))
     return found
 
 
@@ -229,13 +229,14 @@ def _is_outside(value: float, std: float, bounds: tuple[float | None, float | No
 
 
 def _sentence(
-    name: str,
-    level: tuple[float, float],
-    bounds: tuple[float | None, float | None],
-    *,
-    outside: bool,
+    name: str, level: tuple[float, float], settings: HealthSettings, *, outside: bool
 ) -> str:
-    limits = " to ".join("any" if one is None else f"{one:.4g}" for one in bounds)
-    what = f"{MEANINGS.get(name, name)}: {name} = {level[0]:.5g} ± {level[1]:.2g}"
-    side = "outside" if outside else "again within"
-    return f"{what} over the last {SPANS} days, {side} its bounds {limits}"
+    value, std = level
+    low, high = settings.bounds[name]
+    limit = f"above its bound of {high:.4g}" if high is not None else ""
+    if low is not None and (high is None or value < low):
+        limit = f"below its bound of {low:.4g}"
+    nominal = settings.nominal.get(name)
+    share = f", {value / nominal:.4g} of load.model" if nominal else ""
+    what = f"{MEANINGS.get(name, name)}: {name} = {value:.5g} ± {std:.2g}{share}"
+    return f"{what}, over the last {SPANS} days, {limit if outside else 'within its bounds again'}"

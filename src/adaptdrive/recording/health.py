@@ -22,65 +22,13 @@ import msgspec
 import pyarrow as pa
 
 from adaptdrive.control import thresholds
+from adaptdrive.control.loads import quantities
 from adaptdrive.control.signals import Stage
 from adaptdrive.recording import records, segments, tables
 from adaptdrive.recording.session import Ending, SessionInfo, TableName, read_info
 from adaptdrive.util import trends
 
 HOUR_S = 3600.0
-
-OFFSET = "input_offset"
-
-Powers = dict[str, int]
-"""Powers of estimates whose product is a quantity."""
-
-# What estimates say of a load, as far as no more is known of it than they tell.
-
-DERIVED: dict[str, dict[str, Powers]] = {
-    "motor": {"inertia": {"tau_product_s2": 1, "gain": -1}, "damping": {"gain": -1}},
-    "bath": {
-        "heat_capacity": {"tau_s": 1, "tau_product_s2": 1, "resistance_K_per_W": -1},
-        "conductance": {"resistance_K_per_W": -1},
-    },
-    "battery": {"series_resistance": {"direct_S": -1}, "resistance": {"gain_S": -1}},
-}
-"""Quantities that grow in proportion to a product of estimates; one that a load lacks counts as 1.
-
-A motor's inertia is τ_m times its damping, and its gain falls with that: K/(R f + K²). With a
-filter of constant τ_f the product of both time constants does for τ_m."""
-
-LOSSES = {"motor": "friction", "bath": "heat_loss", "battery": "emf"}
-"""What acts against the input, as so much of it: the offset with the opposite sign."""
-
-
-def derived(load: str, estimates: Mapping[str, float]) -> dict[str, float]:
-    """Return the quantities that follow from estimates.
-
-    Args:
-        load: Kind of load.
-        estimates: Their values by name.
-    """
-    found = {}
-    for name, powers in DERIVED.get(load, {}).items():
-        known = {one: power for one, power in powers.items() if estimates.get(one)}
-        found[name] = math.prod(estimates[one] ** power for one, power in known.items())
-    if load in LOSSES and OFFSET in estimates:
-        found[LOSSES[load]] = -estimates[OFFSET]
-    return found
-
-
-def quantities(load: str, names: Iterable[str], *, offset: bool) -> tuple[str, ...]:
-    """Return the names of all quantities of a load.
-
-    Args:
-        load: Kind of load.
-        names: Names of its parameters.
-        offset: Whether its estimator learns an offset.
-    """
-    return (*names, *DERIVED[load], *((LOSSES[load],) if offset else ()))
-
-
-# The rows.
 
 
 class Mean(msgspec.Struct, frozen=True, array_like=True):
@@ -296,11 +244,12 @@ def _add(hour: _Hour, step: Mapping[str, Any], settings: records.HealthSettings)
     known = {name: pair for name, pair in estimates.items() if all(map(math.isfinite, pair))}
     values = {name: value for name, (value, _) in known.items()}
     shares = {name: std / abs(value) for name, (value, std) in known.items() if value}
-    for name, value in (values | derived(settings.load, values)).items():
-        powers = DERIVED.get(settings.load, {}).get(name, {name: 1})
+    products = quantities.powers_of(settings.load, shares)
+    for name, value in (values | quantities.derived(settings.load, values)).items():
+        powers = products.get(name, {name: 1})
         std = abs(value) * sum(shares.get(one, 0.0) * abs(p) for one, p in powers.items())
-        if name in {OFFSET, LOSSES.get(settings.load)}:
-            std = known[OFFSET][1]
+        if name in {quantities.OFFSET, quantities.LOSSES.get(settings.load)}:
+            std = known[quantities.OFFSET][1]
         elif std > thresholds.PRIOR_SHARE * abs(value):
             continue
         if std > 0.0:

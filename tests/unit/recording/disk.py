@@ -22,7 +22,8 @@ from adaptdrive.recording import archiver
 from adaptdrive.recording import log as log_module
 from adaptdrive.recording.archive import ERRORS, archive
 from adaptdrive.recording.log import Log
-from adaptdrive.runtime.reports import Severity
+from adaptdrive.runtime.health import HealthReport
+from adaptdrive.runtime.reports import Event, Severity
 
 RETRY_S = 0.5
 
@@ -87,11 +88,15 @@ def archive_in_process(patch: pytest.MonkeyPatch) -> None:
     loop = asyncio.get_running_loop()
 
     def run(command: Sequence[str], notify: archiver.Report) -> str:
+        def publish(found: Event | HealthReport) -> None:
+            is_event = isinstance(found, Event)
+            notify((found.severity, found.detail, found.kind) if is_event else found)
+
         def report(severity: Severity, detail: str) -> None:
             notify((severity, detail, archiver.EVENT_KIND))
 
         try:
-            trips = archive(Path(command[4]), loop.time(), float(command[5]), report)
+            trips = archive(Path(command[4]), loop.time(), float(command[5]), report, publish)
         except ERRORS as problem:
             return str(problem)
         for directory in trips:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
 from adaptdrive.control.estimation.estimator import LambdaEstimator
+from adaptdrive.control.loads.quantities import derived
 from adaptdrive.control.signals import Decision, Estimate, Mode, Order, Snapshot, Stage
-from adaptdrive.recording.health import derived
+from adaptdrive.recording.health import HourRow, Mean
 from adaptdrive.recording.records import HealthSettings
 from adaptdrive.runtime.reports import LoadReport
 from tests.integration.closed_loop.bench import MOTOR
@@ -87,3 +90,27 @@ def report(estimator: LambdaEstimator, second: int) -> LoadReport:
         handover_step_V=0.0,
     )
     return LoadReport(snapshot, decision, float(second))
+
+
+HOURS = range(8, 18)
+"""Hours of a day with excitation."""
+
+MEMORY_h = 10.0
+"""Hours for which a disturbance of the load lasts."""
+
+
+def months(
+    weeks: float, seed: int, course: Callable[[float], float] = lambda _: 1.0
+) -> list[HourRow]:
+    """Hours of a motor: its friction follows a course over the weeks, of 1 at the begin."""
+    random = np.random.default_rng(seed)
+    rows, slow, kept = [], 0.0, math.exp(-1.0 / MEMORY_h)
+    for hour in range(round(weeks * 168)):
+        time = BEGIN + timedelta(hours=hour)
+        slow = kept * slow + math.sqrt(1.0 - kept * kept) * 0.01 * random.normal()
+        if time.hour in HOURS and time.weekday() < 5:
+            value = TRUTH["friction"] * course(hour / 168) * (1.0 + slow)
+            std = 0.02 * TRUTH["friction"] * random.choice([0.5, 1.0, 3.0])
+            found = Mean(float(value + std * random.normal()), float(std))
+            rows.append(HourRow(time, BEGIN, 1.0, 0, {"friction": found}))
+    return rows

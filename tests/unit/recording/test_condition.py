@@ -7,7 +7,6 @@ what no estimator knows added: days that differ, and hours that resemble each ot
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from datetime import timedelta
 
 import msgspec
@@ -15,33 +14,10 @@ import numpy as np
 import pytest
 
 from adaptdrive.recording import condition, health
-from adaptdrive.recording.health import HourRow, Mean
+from adaptdrive.recording.health import HourRow
 from adaptdrive.recording.records import HealthSettings, slow_row
 from adaptdrive.util import trends
-from tests.unit.recording.months import BEGIN, SETTINGS, TRUTH, motor_hours
-
-HOURS = range(8, 18)
-"""Hours of a day with excitation."""
-
-MEMORY_h = 10.0
-"""Hours for which a disturbance of the load lasts."""
-
-
-def months(
-    weeks: float, seed: int, course: Callable[[float], float] = lambda _: 1.0
-) -> list[HourRow]:
-    """Hours of a motor: its friction follows a course over the weeks, of 1 at the begin."""
-    random = np.random.default_rng(seed)
-    rows, slow, kept = [], 0.0, math.exp(-1.0 / MEMORY_h)
-    for hour in range(round(weeks * 168)):
-        time = BEGIN + timedelta(hours=hour)
-        slow = kept * slow + math.sqrt(1.0 - kept * kept) * 0.01 * random.normal()
-        if time.hour in HOURS and time.weekday() < 5:
-            value = TRUTH["friction"] * course(hour / 168) * (1.0 + slow)
-            std = 0.02 * TRUTH["friction"] * random.choice([0.5, 1.0, 3.0])
-            found = Mean(value + std * random.normal(), std)
-            rows.append(HourRow(time, BEGIN, 1.0, 0, {"friction": found}))
-    return rows
+from tests.unit.recording.months import BEGIN, HOURS, SETTINGS, TRUTH, months, motor_hours
 
 
 def friction(rows: list[HourRow], weeks: float = 8.0):  # noqa: ANN201 - of a report

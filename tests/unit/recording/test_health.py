@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import math
+import sys
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -11,18 +12,20 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from adaptdrive.control.loads.quantities import derived
 from adaptdrive.control.signals import Stage
-from adaptdrive.recording import health
+from adaptdrive.recording import archiver, health
 from adaptdrive.recording.archive import archive
 from adaptdrive.recording.health import BoundRow, HourRow, Mean
 from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.records import Header, HealthSettings
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import create_session, session_directories
-from adaptdrive.runtime.reports import LoadReport
+from adaptdrive.runtime.health import HealthReport
+from adaptdrive.runtime.reports import Event, LoadReport, Severity
 from adaptdrive.util.clock import now_s
 from tests.unit.recording.material import INFO, make_batch, make_tick, write_log
-from tests.unit.recording.months import BEGIN, SETTINGS, TRUTH, motor_hours
+from tests.unit.recording.months import BEGIN, SETTINGS, TRUTH, months, motor_hours
 
 START = BEGIN + timedelta(minutes=30)
 
@@ -96,6 +99,47 @@ def test_an_hour_has_its_row_once_it_is_complete(tmp_path: Path, steps: list[Loa
         assert one == other
 
 
+def test_a_bound_that_is_left_is_reported_once_with_the_condition(
+    tmp_path: Path, steps: list[LoadReport]
+) -> None:
+    """The weeks before are those of a load whose friction is beyond its bound."""
+    bounds = {"friction": (None, 0.9 * TRUTH["friction"])}
+    place = Place(tmp_path, msgspec.structs.replace(SETTINGS, bounds=bounds))
+    weeks = [
+        msgspec.structs.replace(one, time=one.time - timedelta(weeks=4)) for one in months(4.0, 1)
+    ]
+    health.append_rows(health.health_path(place.sessions, "motor"), weeks)
+    place.write(steps, 1)
+    place.archive()
+    event, report = place.told
+    assert isinstance(event, Event)
+    assert (event.kind, event.severity) == ("health", Severity.WARNING)
+    assert "dry friction and load torque: friction = 19.946 ± 0.089, over" in event.detail
+    assert event.detail.endswith("above its bound of 18")
+    assert isinstance(report, HealthReport)
+    assert [name for name, one in report.quantities.items() if one.outside] == ["friction"]
+    assert report.quantities["friction"].value == pytest.approx(20.0, rel=0.02)
+    assert report.time == BEGIN + timedelta(hours=2)
+    place.told.clear()
+    place.archive()
+    assert [type(one) for one in place.told] == [HealthReport]
+
+
+@pytest.mark.usefixtures("outside")
+def test_the_archiver_process_reports_the_condition_on_a_line(
+    tmp_path: Path, steps: list[LoadReport]
+) -> None:
+    place = Place(tmp_path)
+    place.write(steps, 1, last=True)
+    command = [sys.executable, "-m", "adaptdrive.recording.archiver", str(place.log), "10"]
+    heard: list[archiver.Line] = []
+    assert archiver._run(command, heard.append) == ""
+    (report,) = heard
+    assert isinstance(report, HealthReport)
+    assert {*report.quantities} == {*TRUTH}
+    assert len(report.times_s) == len(report.courses["inertia"]) == 3
+
+
 def test_at_rest_an_hour_has_no_value(tmp_path: Path, steps: list[LoadReport]) -> None:
     place = Place(tmp_path)
     rested = [
@@ -151,5 +195,5 @@ def test_what_a_load_is_follows_from_its_parameters(load: str) -> None:
         "bath": {"heat_capacity": 25_000.0, "conductance": 50.0, "heat_loss": 30.0},
         "battery": {"series_resistance": 0.25, "resistance": 0.5, "emf": 48.0},
     }[load]
-    assert health.derived(load, estimates) == pytest.approx(expected)
+    assert derived(load, estimates) == pytest.approx(expected)
     assert math.isfinite(sum(expected.values()))
