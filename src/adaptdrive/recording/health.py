@@ -1,13 +1,14 @@
 """The health of a load: a row an hour of its estimates, in a file that outlives the sessions.
 
 Estimates of one slow period and the next resemble each other: with the forgetting factor ρ each
-sample that teaches brings 1 - ρ of what an estimate knows. An hour with n such samples has a mean
-of the deviation
+sample that teaches brings 1 - ρ of what an estimate knows. An hour with n such samples counts as
+(1 - ρ) n independent estimates, each with the variance
 
-    σ² = max( 1 / ((1 - ρ) Σ 1/σ_k²),  2 s² / ((1 - ρ) n) )
+    max( mean of σ_k², 2 s² )
 
-with σ_k as shown at each, and s² the variance of the estimates within the hour. At rest nothing
-teaches, and an hour without a sample has no value.
+with σ_k as shown at each slow step, and s² the variance of the estimates within the hour. A load
+that moves as predicted teaches nothing: its estimate is repeated, and counts as none. At rest
+nothing shows the load, and an hour has no value.
 """
 
 import math
@@ -32,10 +33,17 @@ HOUR_S = 3600.0
 
 
 class Mean(msgspec.Struct, frozen=True, array_like=True):
-    """A weighted mean over an hour, and its standard deviation."""
+    """A weighted mean over an hour.
+
+    Attributes:
+        value: The mean.
+        std: Standard deviation of one estimate.
+        count: Independent estimates behind it.
+    """
 
     value: float
     std: float
+    count: float
 
 
 class HourRow(msgspec.Struct, frozen=True, tag="hour", tag_field="row"):
@@ -119,15 +127,17 @@ class _Sum:
 
     first: float = math.nan
     count: int = 0
+    taught: int = 0
     weight: float = 0.0
     moment: float = 0.0
     square: float = 0.0
 
-    def add(self, value: float, std: float) -> None:
+    def add(self, value: float, std: float, *, teaches: bool) -> None:
         if self.count == 0:
             self.first = value
         weight, moved = 1.0 / (std * std), value - self.first
         self.count += 1
+        self.taught += teaches
         self.weight += weight
         self.moment += weight * moved
         self.square += weight * moved * moved
@@ -135,8 +145,8 @@ class _Sum:
     def mean(self, share: float) -> Mean:
         moved = self.moment / self.weight
         variance = max(0.0, self.square / self.weight - moved * moved)
-        std = math.sqrt(max(1.0 / self.weight, 2.0 * variance / self.count) / share)
-        return Mean(_rounded(self.first + moved), _rounded(std))
+        std = math.sqrt(max(self.count / self.weight, 2.0 * variance))
+        return Mean(_rounded(self.first + moved), _rounded(std), _rounded(share * self.taught))
 
 
 def _rounded(value: float) -> float:
@@ -235,15 +245,16 @@ def _begins(segment: segments.Segment, schema: dict[str, Any], time: datetime) -
 
 
 def _add(hour: _Hour, step: Mapping[str, Any], settings: records.HealthSettings) -> None:
-    """Add the estimates of a slow step that has taught something, and what has changed in it."""
+    """Add the estimates of a slow step that shows the load, and what has changed in it."""
     if step["change"]:
         hour.changes.append(step["change"])
-    if not (step["accepted"] and step["excitation"] > settings.least_excitation):
-        return
-    estimates = {one["name"]: (one["value"], one["std"]) for one in step["estimates"]}
+    estimates = {one["name"]: (one["value"], one["std"]) for one in step["estimates"] or ()}
     known = {name: pair for name, pair in estimates.items() if all(map(math.isfinite, pair))}
     values = {name: value for name, (value, _) in known.items()}
     shares = {name: std / abs(value) for name, (value, std) in known.items() if value}
+    if not (step["accepted"] and _shows_load(shares)):
+        return
+    teaches = step["excitation"] > settings.least_excitation
     products = quantities.powers_of(settings.load, shares)
     for name, value in (values | quantities.derived(settings.load, values)).items():
         powers = products.get(name, {name: 1})
@@ -253,7 +264,13 @@ def _add(hour: _Hour, step: Mapping[str, Any], settings: records.HealthSettings)
         elif std > thresholds.PRIOR_SHARE * abs(value):
             continue
         if std > 0.0:
-            hour.sums.setdefault(name, _Sum()).add(value, std)
+            hour.sums.setdefault(name, _Sum()).add(value, std, teaches=teaches)
+
+
+def _shows_load(shares: Mapping[str, float]) -> bool:
+    """Return whether a time constant is known: none is once nothing has shown the load."""
+    lags = (share for name, share in shares.items() if name.startswith("tau_"))
+    return min(lags, default=math.inf) < thresholds.PRIOR_SHARE
 
 
 def points(rows: Iterable[Row]) -> dict[str, list[trends.Point]]:
@@ -263,5 +280,7 @@ def points(rows: Iterable[Row]) -> dict[str, list[trends.Point]]:
         if isinstance(row, HourRow):
             time_s = row.time.astimezone(UTC).timestamp() + 0.5 * HOUR_S
             for name, one in row.means.items():
-                found.setdefault(name, []).append(trends.Point(time_s, one.value, one.std))
+                found.setdefault(name, []).append(
+                    trends.Point(time_s, one.value, one.std, one.count)
+                )
     return found

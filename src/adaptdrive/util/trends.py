@@ -23,6 +23,9 @@ _CLEAR = 20.0
 _MOST_ALIKE = 0.9
 """Largest correlation of neighbours that few points can show."""
 
+_REPEATED = 0.01
+"""Weight of what repeats what was known, against an independent estimate."""
+
 _LEAST_VARIANCE = 1e-300
 
 
@@ -33,12 +36,14 @@ class Point:
     Attributes:
         time_s: The time.
         value: The value.
-        std: Its standard deviation.
+        std: Standard deviation of one estimate of it.
+        count: Independent estimates behind it; 0 where it repeats what was known.
     """
 
     time_s: float
     value: float
     std: float
+    count: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +92,16 @@ def pooled(points: Sequence[Point], width_s: float) -> list[Point]:
     spans: dict[int, list[Point]] = {}
     for one in points:
         spans.setdefault(math.floor(one.time_s / width_s), []).append(one)
-    return [Point((span + 0.5) * width_s, *mean(found)) for span, found in spans.items()]
+    return [_pool(found, (span + 0.5) * width_s) for span, found in spans.items()]
+
+
+def _pool(points: Sequence[Point], time_s: float) -> Point:
+    """Return the mean of points, no better known than one estimate where none is independent."""
+    weights = [max(one.count, _REPEATED) / one.std**2 for one in points]
+    value = math.fsum(w * one.value for w, one in zip(weights, points, strict=True))
+    single = len(points) / math.fsum(one.std**-2.0 for one in points)
+    count = max(1.0, math.fsum(one.count for one in points))
+    return Point(time_s, value / math.fsum(weights), math.sqrt(single / count))
 
 
 def mean(points: Sequence[Point], spread: float = 0.0, factor: float = 1.0) -> tuple[float, float]:

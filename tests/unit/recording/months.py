@@ -43,16 +43,17 @@ def filtered(signal: Array, parts: list[list[float]], method: str) -> Array:
 
 
 def motor_hours(hours: float, seed: int) -> list[LoadReport]:
-    """The slow steps of a motor under a square wave."""
+    """The slow steps of a motor whose voltage changes every half minute."""
     count = round(hours * 3600 * STEPS)
     time_s = np.arange(count) * STEP_s
-    voltages = 280.0 + 12.0 * (time_s // 30 % 2)
+    random = np.random.default_rng(seed)
+    levels = random.uniform(280.0, 300.0, math.ceil(count / (30 * STEPS)))
+    voltages = levels[(time_s // 30).astype(int)]
     driven, outputs = voltages + TRUTH["input_offset"], np.empty(count)
     outputs = 0.011 * filtered(driven, [[1.0], [117.0, 21.7, 1.0]], "zoh")
     lag = [[1.0], [TAU_s, 1.0]]
     y1, u1 = filtered(outputs, lag, "foh"), filtered(voltages, lag, "zoh")
     y2, u2 = filtered(y1, lag, "foh"), filtered(u1, lag, "foh")
-    random = np.random.default_rng(seed)
     estimator = LambdaEstimator(LEARNING, MOTOR, 2)
     found = []
     for second in range(1, count // STEPS):
@@ -111,6 +112,6 @@ def months(
         if time.hour in HOURS and time.weekday() < 5:
             value = TRUTH["friction"] * course(hour / 168) * (1.0 + slow)
             std = 0.02 * TRUTH["friction"] * random.choice([0.5, 1.0, 3.0])
-            found = Mean(float(value + std * random.normal()), float(std))
+            found = Mean(float(value + std * random.normal()), float(std), 1.0)
             rows.append(HourRow(time, BEGIN, 1.0, 0, {"friction": found}))
     return rows
