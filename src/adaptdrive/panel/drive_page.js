@@ -26,7 +26,7 @@ const DrivePage = (() => {
       Dom.make("div.columns", {}, Dom.make("div.left", {}, now.root, now.details), plotted, controls.root),
       Dom.make("section", {}, Dom.make("h2", {}, "Events"), events, ...report(drive.name)),
     );
-    const plots = Plots.open(plotted, drive);
+    const plots = Plots.open(plotted, drive), health = HealthPlot.open(plotted, drive);
     Link.askHistory(drive.name);
     let seen = -1;
     const built = drive.build;
@@ -39,6 +39,7 @@ const DrivePage = (() => {
       now.draw(drive);
       controls.draw();
       plots.draw();
+      health.draw();
       if (seen === drive.eventVersion) return;
       seen = drive.eventVersion;
       latest.replaceChildren(...drive.events.slice(0, LATEST).map(eventRow));
@@ -52,7 +53,7 @@ const DrivePage = (() => {
       Controls.ask(drive, answer, bar, "disable");
     }
     document.addEventListener("keydown", press);
-    return { draw, outdated: () => drive.build !== built, end() { document.removeEventListener("keydown", press); plots.end(); } };
+    return { draw, outdated: () => drive.build !== built, end() { document.removeEventListener("keydown", press); plots.end(); health.end(); } };
   }
 
   /** A link to the plot of the session, where the server of the page draws it. @param {string} name */
