@@ -24,8 +24,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.section import si_unit
 from adaptdrive.control.estimation.direct import METHODS
-from adaptdrive.control.loads import quantities
-from adaptdrive.control.loads.load import Load
+from adaptdrive.control.loads.load import OFFSET, Load, derived
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.devices.description import description_text
 from adaptdrive.recording import log_files, recorder, records, session
@@ -283,16 +282,17 @@ def health_settings(configuration: Configuration) -> records.HealthSettings:
     settings, load = controller_settings(configuration), build_load(configuration)
     if not is_kept(settings):
         return records.HealthSettings()
-    kind, learning = configuration.load.type, settings.learning
+    learning = settings.learning
     nominal = dict(zip(load.names, _nominal(load), strict=True))
-    nominal |= quantities.derived(kind, nominal)
+    nominal |= derived(load.products, load.loss, nominal)
     bounds = {}
     for name, one in configuration.health.bounds.items():
         scale = nominal.get(name, math.nan) if one.relative else 1.0
         bounds[name] = tuple(None if end is None else scale * end for end in (one.min, one.max))
     share = max(1.0 - learning.forgetting, _LEAST_SHARE)
     return records.HealthSettings(
-        load=kind,
+        products=load.products,
+        loss=load.loss,
         share=share,
         least_excitation=learning.gate * share,
         nominal=nominal,
@@ -306,10 +306,9 @@ def health_names(configuration: Configuration) -> tuple[tuple[str, ...], tuple[s
     Both are empty where the estimates are no physical parameters.
     """
     settings = health_settings(configuration)
-    losses = quantities.LOSSES.get(settings.load)
-    if losses is None:
+    if not settings.loss:
         return (), ()
-    offset = (quantities.OFFSET, losses) if controller_settings(configuration).learning.bias else ()
+    offset = (OFFSET, settings.loss) if controller_settings(configuration).learning.bias else ()
     return (*settings.nominal, *offset), tuple(settings.nominal)
 
 

@@ -287,7 +287,7 @@ def _archive(
                 report(Severity.WARNING, f"session {directory.name}: {loss}")
     if not logged.open and info.ended is session.Ending.OPEN:
         logged.with_reserve(_cut, directory, info, report)
-    if logged.header.health.load:
+    if logged.header.health.loss:
         try:
             logged.with_reserve(_update_health, directory, logged.header.health, publish)
         except ERRORS as problem:

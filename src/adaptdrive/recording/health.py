@@ -23,7 +23,7 @@ import msgspec
 import pyarrow as pa
 
 from adaptdrive.control import thresholds
-from adaptdrive.control.loads import quantities
+from adaptdrive.control.loads.load import OFFSET, derived
 from adaptdrive.control.signals import Stage
 from adaptdrive.recording import records, segments, tables
 from adaptdrive.recording.session import Ending, SessionInfo, TableName, read_info
@@ -255,12 +255,13 @@ def _add(hour: _Hour, step: Mapping[str, Any], settings: records.HealthSettings)
     if not (step["accepted"] and _shows_load(shares)):
         return
     teaches = step["excitation"] > settings.least_excitation
-    products = quantities.powers_of(settings.load, shares)
-    for name, value in (values | quantities.derived(settings.load, values)).items():
-        powers = products.get(name, {name: 1})
-        std = abs(value) * sum(shares.get(one, 0.0) * abs(p) for one, p in powers.items())
-        if name in {quantities.OFFSET, quantities.LOSSES.get(settings.load)}:
-            std = known[quantities.OFFSET][1]
+    powers = {one.name: one.powers for one in settings.products}
+    every = values | derived(settings.products, settings.loss, values)
+    for name, value in every.items():
+        parts = powers.get(name, ((name, 1),))
+        std = abs(value) * sum(shares.get(one, 0.0) * abs(power) for one, power in parts)
+        if name in {OFFSET, settings.loss}:
+            std = known[OFFSET][1]
         elif std > thresholds.PRIOR_SHARE * abs(value):
             continue
         if std > 0.0:

@@ -20,6 +20,7 @@ from typing import Any
 
 import msgspec
 
+from adaptdrive.control.loads.load import Product
 from adaptdrive.recording.session import SessionInfo
 from adaptdrive.runtime import reports
 from adaptdrive.safety.trips import kind_of
@@ -122,14 +123,17 @@ class HealthSettings(msgspec.Struct, frozen=True):
     """What gives the estimates of a drive their meaning for the health of its load.
 
     Attributes:
-        load: Kind of load, empty where its estimates are no physical parameters.
+        products: What the parameters of the load say of it.
+        loss: Name of what acts against its input; empty where its estimates are no physical
+            parameters.
         share: 1 - ρ, what a sample brings of what an estimate knows.
         least_excitation: rᵀPr above which a sample teaches.
         nominal: Quantities of the nominal model, by name.
         bounds: Lowest and highest value of quantities, None where there is no limit.
     """
 
-    load: str = ""
+    products: tuple[Product, ...] = ()
+    loss: str = ""
     share: float = 1.0
     least_excitation: float = 0.0
     nominal: dict[str, float] = {}

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
 from adaptdrive.control.estimation.estimator import LambdaEstimator
-from adaptdrive.control.loads.quantities import derived
+from adaptdrive.control.loads.load import derived
 from adaptdrive.control.signals import Decision, Estimate, Mode, Order, Snapshot, Stage
 from adaptdrive.recording.health import HourRow, Mean
 from adaptdrive.recording.records import HealthSettings
@@ -24,13 +24,14 @@ LEARNING = replace(WATCHED, gate=1.2, settle_periods=5)
 STEP_s, TAU_s, STEPS = 0.1, 10.0, 10
 NOISE = 3e-4
 TRUTH = {"gain": 0.011, "tau_sum_s": 21.7, "tau_product_s2": 117.0, "input_offset": -20.0}
-TRUTH |= derived("motor", TRUTH)
+TRUTH |= derived(MOTOR.products, MOTOR.loss, TRUTH)
 NOMINAL = {"gain": 0.011, "tau_sum_s": 21.7, "tau_product_s2": 117.0}
 SETTINGS = HealthSettings(
-    load="motor",
+    products=MOTOR.products,
+    loss=MOTOR.loss,
     share=1.0 - LEARNING.forgetting,
     least_excitation=LEARNING.gate * (1.0 - LEARNING.forgetting),
-    nominal=NOMINAL | derived("motor", NOMINAL),
+    nominal=NOMINAL | derived(MOTOR.products, MOTOR.loss, NOMINAL),
 )
 BEGIN = datetime(2026, 1, 5, tzinfo=UTC)
 SETTLED_S = 300

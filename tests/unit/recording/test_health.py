@@ -12,7 +12,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.control.loads.quantities import derived
+from adaptdrive.app.loads import build_load
+from adaptdrive.config import load_configuration
+from adaptdrive.control.loads.load import derived
 from adaptdrive.control.signals import Estimate, Stage
 from adaptdrive.recording import archiver, health
 from adaptdrive.recording.archive import archive
@@ -27,6 +29,7 @@ from adaptdrive.util.clock import now_s
 from tests.unit.recording.material import INFO, make_batch, make_tick, write_log
 from tests.unit.recording.months import BEGIN, SETTINGS, TRUTH, months, motor_hours
 
+EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 START = BEGIN + timedelta(minutes=30)
 
 
@@ -203,5 +206,6 @@ def test_what_a_load_is_follows_from_its_parameters(load: str) -> None:
         "bath": {"heat_capacity": 25_000.0, "conductance": 50.0, "heat_loss": 30.0},
         "battery": {"series_resistance": 0.25, "resistance": 0.5, "emf": 48.0},
     }[load]
-    assert derived(load, estimates) == pytest.approx(expected)
+    built = build_load(load_configuration(EXAMPLES / f"{load}.toml"))
+    assert derived(built.products, built.loss, estimates) == pytest.approx(expected)
     assert math.isfinite(sum(expected.values()))
