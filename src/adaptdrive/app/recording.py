@@ -288,7 +288,8 @@ def health_settings(configuration: Configuration) -> records.HealthSettings:
     bounds = {}
     for name, one in configuration.health.bounds.items():
         scale = nominal.get(name, math.nan) if one.relative else 1.0
-        bounds[name] = tuple(None if end is None else scale * end for end in (one.min, one.max))
+        low, high = (None if end is None else scale * end for end in (one.min, one.max))
+        bounds[name] = low, high
     share = max(1.0 - learning.forgetting, _LEAST_SHARE)
     return records.HealthSettings(
         products=load.products,

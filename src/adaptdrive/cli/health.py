@@ -18,8 +18,10 @@ from adaptdrive.runtime.health import HealthReport
 from adaptdrive.util.errors import RecordingError
 from adaptdrive.util.files import replace_result
 
+_MOST_WEEKS = 104.0
 _check_weeks = options.refusing(
-    lambda weeks: 0.0 < weeks <= 10_000.0, "Weeks are a number above 0 and at most 10000."
+    lambda weeks: 0.0 < weeks <= _MOST_WEEKS,
+    f"Weeks are a number above 0, at most {_MOST_WEEKS:g}.",
 )
 
 

@@ -1,14 +1,13 @@
 """The condition of a load from its rows: level, trend, change and bounds of each quantity.
 
 The days are what is compared: a level is a mean over seven, a baseline that of the first seven with
-an estimate, a trend a line over eight weeks. Of less than two weeks hours take the place of days.
+an estimate, a trend a line over eight weeks. In the first two weeks hours take the place of days.
 """
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from operator import attrgetter
 
 from adaptdrive.recording import health
 from adaptdrive.recording.records import HealthSettings
@@ -46,14 +45,19 @@ MEANINGS = {
 """Quantities that say more of a load than the parameter that they follow from."""
 
 
+_SHORT_S = health.HOUR_S, 6.0 * health.HOUR_S
+_MOST_SPANS = 56
+"""Spans that eight weeks have, after which longer ones follow."""
+
 _FIRST = 28
 """Days whose scatter is that of a baseline."""
 
 
 def spans_of(points: Sequence[trends.Point]) -> list[trends.Point]:
-    """Return a point for each day, of less than two weeks for each hour."""
-    long = len(points) > 1 and points[-1].time_s - points[0].time_s >= 2.0 * WEEK_S
-    return trends.pooled(points, DAY_S if long else health.HOUR_S)
+    """Return a point for each day; while there are few of them, for each hour or six."""
+    lasted_s = points[-1].time_s - points[0].time_s if points else 0.0
+    widths_s = (width_s for width_s in _SHORT_S if lasted_s < _MOST_SPANS * width_s)
+    return trends.pooled(points, next(widths_s, DAY_S))
 
 
 def report(
@@ -66,7 +70,7 @@ def report(
         settings: What gives its estimates their meaning.
         weeks: Time over which trends and changes are sought.
     """
-    hours = sorted((one for one in rows if isinstance(one, health.HourRow)), key=attrgetter("time"))
+    hours = [one for one in rows if isinstance(one, health.HourRow)]
     if not hours:
         return None
     outside = outsiders(rows)
@@ -115,9 +119,9 @@ def _quantity(
         trend_percent=_known(line.slope * week if line else math.nan),
         trend_std=_known(line.std * week if line else math.nan),
         nominal=nominal,
-        since=step and datetime.fromtimestamp(step.time_s, UTC),
-        step_percent=step and _known(step.change * scale),
-        step_std=step and _known(step.std * scale),
+        since=None if step is None else datetime.fromtimestamp(step.time_s, UTC),
+        step_percent=None if step is None else _known(step.change * scale),
+        step_std=None if step is None else _known(step.std * abs(scale)),
         outside=outside,
     )
 

@@ -16,6 +16,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -89,14 +90,14 @@ def health_path(sessions: Path, drive: str) -> Path:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Return the rows of a file, none without one; a line that was torn is left out."""
+    """Return the rows of a file by their times, none without one; torn lines are left out."""
     rows: list[Row] = []
     for line in path.read_bytes().splitlines() if path.exists() else ():
         try:
             rows.append(msgspec.json.decode(line, type=Row))
         except (msgspec.DecodeError, UnicodeDecodeError):
             continue
-    return rows
+    return sorted(rows, key=attrgetter("time"))
 
 
 def append_rows(path: Path, rows: Sequence[Row]) -> None:
@@ -225,7 +226,7 @@ def _steps(directory: Path, info: SessionInfo, after: datetime | None) -> Iterat
     """Yield the archived slow steps of a session, from one before the end of an hour on."""
     table = TableName.SLOW
     whole = tables.table_schema(table, info)
-    schema = {table: pa.schema([whole.field(name) for name in _COLUMNS])}
+    schema: dict[str, pa.Schema] = {table: pa.schema([whole.field(name) for name in _COLUMNS])}
     found = segments.segments(directory, None, (table,))
     first = 0
     if after is not None:

@@ -9,7 +9,7 @@ class HealthQuantity:
     """One quantity of a load over the weeks.
 
     Attributes:
-        value: Mean of the last seven days with an estimate, hours of less than two weeks.
+        value: Mean of the last seven days with an estimate; in the first two weeks of hours.
         std: Its standard deviation.
         change_percent: Its change since the first seven days.
         change_std: Standard deviation of that.

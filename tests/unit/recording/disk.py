@@ -89,8 +89,10 @@ def archive_in_process(patch: pytest.MonkeyPatch) -> None:
 
     def run(command: Sequence[str], notify: archiver.Report) -> str:
         def publish(found: Event | HealthReport) -> None:
-            is_event = isinstance(found, Event)
-            notify((found.severity, found.detail, found.kind) if is_event else found)
+            if isinstance(found, Event):
+                notify((found.severity, found.detail, found.kind))
+            else:
+                notify(found)
 
         def report(severity: Severity, detail: str) -> None:
             notify((severity, detail, archiver.EVENT_KIND))

@@ -16,11 +16,12 @@ import pytest
 from adaptdrive.recording import condition, health
 from adaptdrive.recording.health import HourRow, Mean
 from adaptdrive.recording.records import HealthSettings, slow_row
+from adaptdrive.runtime.health import HealthQuantity
 from adaptdrive.util import trends
 from tests.unit.recording.months import BEGIN, HOURS, SETTINGS, TRUTH, months, motor_hours
 
 
-def friction(rows: list[HourRow], weeks: float = 8.0):  # noqa: ANN201 - of a report
+def friction(rows: list[HourRow], weeks: float = 8.0) -> HealthQuantity:
     report = condition.report(rows, SETTINGS, weeks)
     assert report is not None
     return report.quantities["friction"]
