@@ -210,8 +210,7 @@ class DriveReport:
 
 EVENT_KINDS = (
     *("trip", "state", "controller", "mode", "fallback", "complete", "stop", "refused", "bus"),
-    "warning",
-    *("latency", "realtime", "checkpoint", "recording", "state directory"),
+    *("warning", "latency", "realtime", "checkpoint", "recording", "state directory"),
     *("broker", "command", "outbox", "configuration", "health"),
 )
 """Kinds of events: of the drive, of the daemon's machine, and of the operators' side."""
@@ -292,16 +291,8 @@ class CommandReport:
     reason: str
 
 
-Report = (
-    StateReport
-    | LoadReport
-    | DriveReport
-    | SensorSample
-    | Event
-    | TickReport
-    | CommandReport
-    | HealthReport
-)
+Note = Event | CommandReport
+Report = StateReport | LoadReport | DriveReport | SensorSample | Note | TickReport | HealthReport
 
 TICK_COLUMNS = columns_of(TickReport)
 SLOW_COLUMNS = columns_of(LoadReport)
