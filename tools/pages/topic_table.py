@@ -31,6 +31,7 @@ from adaptdrive.mqtt.contract import (
     simulator_topic,
 )
 from adaptdrive.mqtt.publisher import KEYS
+from adaptdrive.runtime.health import HealthReport
 from adaptdrive.runtime.reports import (
     SLOW_COLUMNS,
     DriveReport,
@@ -121,6 +122,13 @@ def topics() -> tuple[Topic, ...]:
         Topic(
             of.histograms, "times of all ticks since the start", _histograms(), retained=True, qos=0
         ),
+        Topic(
+            of.health,
+            "what the load was over the weeks, each hour",
+            _message("HealthMessage", "Health of the load.", (*_members(HealthReport),)),
+            retained=True,
+            qos=0,
+        ),
         Topic(of.event, "a trip, a change of mode, a loss of a bus, …", _event()),
         Topic(of.reply, "the answer to a command", Reply),
         Topic(of.history, "a page of the slow steps of the last hour", history),
@@ -152,7 +160,7 @@ def simulator_topics() -> tuple[Topic, ...]:
 
 
 def _state() -> type:
-    members = (*_members(StateReport), *_members(Standing), *_members(Profile))
+    members = (*_members(StateReport), *_members(Standing), *_members(Profile, "quantities"))
     return _message("StateMessage", "State of a drive, its names, units and limits.", members)
 
 

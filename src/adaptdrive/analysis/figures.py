@@ -108,7 +108,7 @@ def draw_session(session: reader.Session, configuration: Configuration, curves: 
     with journal():
         figure = Figure(figsize=(WIDTH_in, 6.4), layout="constrained")
         axes = figure.subplots(4, 1, sharex=True, height_ratios=(1.5, 1.2, 1.2, 0.45))
-        begin_s, end_s, _ = curves.window
+        begin_s, end_s, started = curves.window
         span_s = end_s - begin_s
         scale_s, unit = next((s, u) for most, s, u in _UNITS_OF_TIME if span_s <= most)
         _draw_output(axes[0], session, curves, scale_s)
@@ -216,7 +216,7 @@ def _runs(values: list[str], breaks: NDArray[np.int64]) -> Iterator[tuple[int, i
 
 
 def _mark(axes: Sequence[Axes], session: reader.Session, curves: Curves, scale_s: float) -> None:
-    begin_s, end_s, started = curves.window
+    begin_s, end_s, _ = curves.window
     shown = [event for event in session.events if begin_s <= event.monotonic_s <= end_s]
     trips = [event for event in shown if event.kind == "trip"]
     changes = [event for event in shown if event.kind in _CHANGES]

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from adaptdrive.app import loads, ports
+from adaptdrive.app import loads, ports, recording
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration, consistency, file, polled
 from adaptdrive.config.bus import CanDescription, SignalSource
@@ -17,7 +17,7 @@ from adaptdrive.control.supervision.setpoints import nominal_reach
 from adaptdrive.devices.description import NO_DEMANDS, demands_of
 from adaptdrive.safety.timing import timing_of
 from adaptdrive.util.clock import now_s
-from adaptdrive.util.errors import ConfigurationError, Flaw
+from adaptdrive.util.errors import ConfigurationError, Flaw, nearest
 
 _OF_PORT = frozenset({"drive", "bus", "signals", "voltage_loop", "load", "interlocks"})
 
@@ -89,8 +89,21 @@ _LOWEST_CHARGE = 0.5
 
 def implausible(configuration: Configuration) -> Iterator[Flaw]:
     """Find values that contradict each other, with the figures that show it."""
-    for check in (_telemetry_flaws, _battery_flaws, _reach_flaws, _pace_flaws, _capacitor_flaws):
+    power = _battery_flaws, _reach_flaws, _pace_flaws, _capacitor_flaws
+    for check in (_telemetry_flaws, _health_flaws, *power):
         yield from check(configuration)
+
+
+def _health_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    """The bounds are of quantities that the load has."""
+    known, nominal = recording.health_names(configuration)
+    for name, bound in configuration.health.bounds.items():
+        place = f"health.bounds.{name}"
+        if name not in known:
+            names = ", ".join(known) or "none, as its estimates are no physical parameters"
+            yield Flaw(place, f"no quantity of this load{nearest(name, known)}; known: {names}")
+        elif bound.relative and name not in nominal:
+            yield Flaw(f"{place}.relative", "load.model has no such value: give it in its unit")
 
 
 def _telemetry_flaws(configuration: Configuration) -> Iterator[Flaw]:

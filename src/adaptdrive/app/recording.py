@@ -6,6 +6,7 @@ carries a hash; another one is not used, with a warning.
 
 import hashlib
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -17,11 +18,13 @@ from typing import Any
 import msgspec
 
 from adaptdrive import __version__
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.section import si_unit
 from adaptdrive.control.estimation.direct import METHODS
-from adaptdrive.control.loads.load import Load
+from adaptdrive.control.loads.load import OFFSET, Load, derived
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.devices.description import description_text
 from adaptdrive.recording import log_files, recorder, records, session
@@ -35,6 +38,9 @@ _EVERY_S = 60.0
 """Shortest time between two records."""
 
 _REPORTS_HELD = 8
+_LEAST_SHARE = 1e-3
+"""Least 1 - ρ: without forgetting an estimate would know all that there ever was."""
+
 _MEASURED = ("drive", "bus", "signals", "sensor_bus", "derived", "voltage_loop")
 _INPUT = {"turns_ratio", "droop_Ohm", "heater_Ohm"}
 _MEANING: dict[str, Any] = {
@@ -259,10 +265,47 @@ def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
         config_text=text,
         segment_s=recording.segment_s,
         keep=records.Keep(recording.keep_days, None if size is None else round(size * 1e6)),
+        health=health_settings(configuration),
     )
     pace = records.Pace(start_thread=start_thread)
     clock = lambda: (now_s(), time.time())  # noqa: E731
     return recorder.Recorder(*place_of(configuration), header, hub, clock, pace, recalled)
+
+
+def health_settings(configuration: Configuration) -> records.HealthSettings:
+    """Return what gives the estimates of a drive their meaning for the health of its load."""
+    settings, load = controller_settings(configuration), build_load(configuration)
+    if not is_kept(settings):
+        return records.HealthSettings()
+    learning = settings.learning
+    nominal = dict(zip(load.names, _nominal(load), strict=True))
+    nominal |= derived(load.products, load.loss, nominal)
+    bounds = {}
+    for name, one in configuration.health.bounds.items():
+        scale = nominal.get(name, math.nan) if one.relative else 1.0
+        low, high = (None if end is None else scale * end for end in (one.min, one.max))
+        bounds[name] = low, high
+    share = max(1.0 - learning.forgetting, _LEAST_SHARE)
+    return records.HealthSettings(
+        products=load.products,
+        loss=load.loss,
+        share=share,
+        least_excitation=learning.gate * share,
+        nominal=nominal,
+        bounds=bounds,
+    )
+
+
+def health_names(configuration: Configuration) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the quantities of the load that health knows, and those of them with a nominal value.
+
+    Both are empty where the estimates are no physical parameters.
+    """
+    settings = health_settings(configuration)
+    if not settings.loss:
+        return (), ()
+    offset = (OFFSET, settings.loss) if controller_settings(configuration).learning.bias else ()
+    return (*settings.nominal, *offset), tuple(settings.nominal)
 
 
 def place_of(configuration: Configuration) -> tuple[Path, Path | None]:

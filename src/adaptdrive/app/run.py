@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from select import POLLOUT, poll
@@ -269,6 +270,7 @@ async def _run(
         start("recorder", recorder.run(daemon.opened))
         profile = settings.operator_profile(configuration)
         around = operator_log(recalled, recorder)
+        profile = replace(profile, quantities=recording.health_names(configuration)[0])
         start("mqtt", MqttService(profile, configuration.mqtt, daemon, hub, around).run())
         start("opened", course.opened(daemon.opened))
         if recording.is_kept(law):

@@ -307,6 +307,7 @@ class Configuration(section.Section):
     interlocks: services.InterlocksSection
     mqtt: services.Mqtt = Field(default_factory=services.Mqtt)
     recording: services.Recording = Field(default_factory=services.Recording)
+    health: services.Health = Field(default_factory=services.Health)
     realtime: services.Realtime = Field(default_factory=services.Realtime)
     simulation: SimulatorSection = Field(default_factory=SimulatorSection)
 

@@ -1,4 +1,4 @@
-"""`[interlocks]`, `[mqtt]`, `[recording]`, `[realtime]`: what surrounds the controller."""
+"""`[interlocks]`, `[mqtt]`, `[recording]`, `[health]`, `[realtime]`: around the controller."""
 
 from collections.abc import Iterator
 
@@ -91,6 +91,34 @@ class Recording(section.Section):
     """remove sessions that began longer ago; none when left out"""
     keep_MB: section.PositiveFloat | None = None
     """remove the oldest while all sessions take more; none when left out"""
+
+
+class Bound(section.Section):
+    """`[health.bounds.NAME]`: the range of one quantity of the load, at least one end of it."""
+
+    min: section.FiniteFloat | None = None
+    """lowest value"""
+    max: section.FiniteFloat | None = None
+    """highest value"""
+    relative: bool = False
+    """whether both are shares of the value that follows from `[load.model]`"""
+
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield a range without an end, or without a value in it."""
+        if self.min is None and self.max is None:
+            yield Flaw("", "has neither min nor max")
+        elif self.min is not None and self.max is not None and self.min >= self.max:
+            yield Flaw("max", f"{self.max:g} must be above min = {self.min:g}")
+
+
+class Health(section.Section):
+    """`[health]`: bounds of quantities of `adaptdrive health` by name, such as `friction`.
+
+    An event `health` warns once when a mean of seven days is outside by six standard deviations.
+    """
+
+    bounds: dict[str, Bound] = section.key({})
+    """ranges by name of the quantity"""
 
 
 class Realtime(section.Section):

@@ -12,6 +12,7 @@ from typing import Final
 from adaptdrive.control import fast, signals, slow
 from adaptdrive.control.design.reference import AHEAD
 from adaptdrive.control.estimation import filters
+from adaptdrive.control.estimation.change import WORDS
 from adaptdrive.control.estimation.direct import METHODS
 from adaptdrive.control.estimation.estimator import LambdaEstimator
 from adaptdrive.control.loads import battery
@@ -148,6 +149,7 @@ class Controller:
             reach_high=self._reach.high,
             probe=state.probe.shift if state.probe.age_periods > 0 else math.nan,
             response_spread=state.spread if state.accepted else math.nan,
+            change=WORDS[state.estimator.decided],
             trusted=tuple(state.values) if kept else None,
         )
 
@@ -322,8 +324,9 @@ class Controller:
             for name, value, deviation in zip(load.names, state.values, deviations, strict=True)
         }
         if learning.bias:
-            offset = state.estimator.input_offset()
-            estimates["input_offset"] = signals.Estimate(offset, math.nan)
+            own = state.estimator
+            deviation = own.offset_deviation() if math.isfinite(deviations[0]) else math.nan
+            estimates["input_offset"] = signals.Estimate(own.input_offset(), deviation)
         return estimates
 
 

@@ -318,6 +318,14 @@ class Decision:
             "as a share of the step",
         ),
     ] = math.nan
+    change: Annotated[
+        str,
+        Quantity(
+            "",
+            "change that the bank of models has decided on: disturbance, load, or load and "
+            "disturbance; empty for none",
+        ),
+    ] = ""
     trusted: tuple[float, ...] | None = None
 
 

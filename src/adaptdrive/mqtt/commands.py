@@ -258,6 +258,8 @@ def unconfirmed_stop(state: Mapping[str, Any]) -> str:
 _UNIT = re.compile(r"(.+?)_((?:s|V|A|W|K|S|J|F|Ohm|rad)\d?(?:_per_(?:s|V|A|W|K)\d?)?)")
 _WRITTEN = (("_per_", "/"), ("2", "²"), ("Ohm", "Ω"))
 _BATH = "resistance_K_per_W"
+OFFSET = "input_offset"
+"""Name of an estimate that may well be 0: no deviation makes it unknown."""
 
 
 def is_known(estimate: Mapping[str, Any]) -> bool:
@@ -283,7 +285,7 @@ def quantity_and_unit(
     if name == "gain":
         one = f"({output_unit})" if "/" in output_unit else output_unit or "1"
         return name, f"{one}/{given_unit}" if given_unit else output_unit
-    if name == "input_offset":
+    if name == OFFSET:
         return "input offset", "W" if _BATH in names else given_unit
     match = _UNIT.fullmatch(name)
     if match is None:

@@ -18,6 +18,7 @@ import msgspec
 from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.commands import STOP
 from adaptdrive.runtime import reports
+from adaptdrive.runtime.health import HealthReport
 from adaptdrive.safety.trips import TripKind, remedy
 from adaptdrive.util.quantity import BOOST, MEASURED, Given
 
@@ -51,6 +52,7 @@ class Profile:
         modes: Modes that an operator can choose.
         version: Version of the daemon.
         manipulated: Name and unit of what the drive is commanded, and gives.
+        quantities: Quantities of `health`, not published in `state`.
     """
 
     drive: str
@@ -59,6 +61,7 @@ class Profile:
     modes: tuple[Mode, ...] = tuple(Mode)
     version: str = ""
     manipulated: Given = BOOST
+    quantities: tuple[str, ...] = ()
 
 
 if TYPE_CHECKING:
@@ -145,13 +148,18 @@ def encode(message: msgspec.Struct | Payload) -> bytes:
 
 def state_message(report: reports.StateReport, standing: Standing, profile: Profile) -> Payload:
     """Return the payload of `state`."""
-    return _fields(report) | _fields(standing) | _fields(profile)
+    return _fields(report) | _fields(standing) | _fields(profile, "quantities")
 
 
 def load_message(report: reports.LoadReport, time: datetime, output: Output) -> Payload:
     """Return the payload of `telemetry/load` for a report that arrived at `time`."""
     columns = {column.name: column.read(report) for column in reports.SLOW_COLUMNS}
     return {"time": time} | columns | _named(output)
+
+
+def health_message(report: HealthReport) -> Payload:
+    """Return the payload of `health`."""
+    return _fields(report)
 
 
 def histogram_message(report: reports.DriveReport, time: datetime) -> Payload:
@@ -211,6 +219,7 @@ class Topics:
         load_telemetry: One message per slow period, the last one retained.
         drive_telemetry: The fast loop, at most ten messages a second.
         histograms: Counts of all times of ticks since the start, retained.
+        health: What the load was over the weeks, retained.
         ask_history: Request for the slow steps of the last hour; its payload has no meaning.
         history: Answers to such requests, for every client.
         event: Trips, mode changes, fallbacks, bus loss and return.
@@ -228,6 +237,7 @@ class Topics:
         self.load_telemetry = f"{self._root}telemetry/load"
         self.drive_telemetry = f"{self._root}telemetry/drive"
         self.histograms = f"{self._root}telemetry/histograms"
+        self.health = f"{self._root}health"
         self.ask_history = f"{self._root}ask/history"
         self.history = f"{self._root}history"
         self.event = f"{self._root}event"

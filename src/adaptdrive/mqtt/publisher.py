@@ -20,6 +20,7 @@ import msgspec
 
 from adaptdrive.mqtt import contract
 from adaptdrive.runtime import reports
+from adaptdrive.runtime.health import HealthReport
 from adaptdrive.safety.trips import Trip, TripKind, remedy
 
 # Reports to publish: the present state, and queues of what was not published yet.
@@ -225,6 +226,7 @@ class Intake:
         load: Slow periods not sent yet.
         drive: The newest report of the fast loop, unless sent.
         histograms: The newest histograms of the fast loop, unless sent.
+        health: The newest health of the load, unless sent; it is sent again to each broker.
     """
 
     hub: reports.Hub
@@ -238,10 +240,12 @@ class Intake:
         self.load: reports.Queue[contract.Payload] = reports.Queue(LOAD_MESSAGES_HELD)
         self.drive: reports.Queue[contract.Payload] = reports.Queue(1)
         self.histograms: reports.Queue[contract.Payload] = reports.Queue(1)
+        self.health: reports.Queue[contract.Payload] = reports.Queue(1)
+        self._condition: contract.Payload | None = None
         self._discarded = 0
         self._unkept: list[bytes] = []
         kinds = reports.StateReport, reports.LoadReport, reports.DriveReport, reports.Event
-        self._reports = self.hub.subscribe(*kinds, size=REPORTS_HELD)
+        self._reports = self.hub.subscribe(*kinds, HealthReport, size=REPORTS_HELD)
 
     async def run(self) -> None:
         """Take reports until cancelled; events are for the broker once they are recorded."""
@@ -291,6 +295,8 @@ class Intake:
         """Throw away telemetry that was not sent in time."""
         for box in (self.load, self.drive, self.histograms):
             box.drain()
+        if self._condition is not None:  # a broker that was started again has none
+            self.health.put(self._condition)
 
     def _lay_out(self, taken: Sequence[reports.Report]) -> None:
         for report in taken:
@@ -308,6 +314,9 @@ class Intake:
                     self.drive.put(message)
                     self.history.add_reading(message)
                     self.histograms.put(contract.histogram_message(report, time))
+                case HealthReport():
+                    self._condition = contract.health_message(report)
+                    self.health.put(self._condition)
                 case reports.Event():
                     self._unkept.append(contract.encode(contract.event_message(report, time)))
 

@@ -61,7 +61,8 @@ def discovery(profile: contract.Profile, prefix: str) -> tuple[str, contract.Pay
         prefix: Prefix of discovery topics, as Home Assistant is configured.
     """
     topics, key = contract.Topics(profile.drive), f"adaptdrive-{profile.drive}"
-    components = _sensors(profile, topics) | _controls(profile, topics)
+    components = _sensors(profile, topics) | _health(profile, topics)
+    components |= _controls(profile, topics)
     for name, component in components.items():
         component["unique_id"] = f"{key}-{name}"
     payload = {
@@ -104,6 +105,26 @@ def _sensors(profile: contract.Profile, topics: contract.Topics) -> dict[str, co
             "json_attributes_template": "{{ (value_json.last_trip or {}) | tojson }}",
         },
     }
+
+
+def _health(profile: contract.Profile, topics: contract.Topics) -> dict[str, contract.Payload]:
+    """Return a sensor for each quantity of the load, and one of whether any is out of bounds."""
+    if not profile.quantities:
+        return {}
+    outside = "value_json.quantities.values() | selectattr('outside') | list"
+    found = {
+        "health": _shown("health", topics.health, f"{{{{ 'ON' if {outside} else 'OFF' }}}}")
+        | {"platform": "binary_sensor", "device_class": "problem"}
+    }
+    for name in profile.quantities:
+        one = f"value_json.quantities.get('{name}', {{}})"
+        sensor = _shown(name.replace("_", " "), topics.health, f"{{{{ {one}.get('value') }}}}")
+        found[f"health-{name}"] = sensor | {
+            "state_class": "measurement",
+            "json_attributes_topic": topics.health,
+            "json_attributes_template": f"{{{{ {one} | tojson }}}}",
+        }
+    return found
 
 
 def _shown(name: str, topic: str, template: str) -> contract.Payload:

@@ -114,6 +114,7 @@ class BrokerSession:
         fast = partial(self._send, intake.drive, topics.drive_telemetry, retain=False)
         yield "drive", fast, self.telemetry_s
         counts = partial(self._send, intake.histograms, topics.histograms)
+        yield "health", partial(self._send, intake.health, topics.health), 0.0
         yield "histograms", counts, HISTOGRAMS_EVERY_S
         yield "history", self._send_history, HISTORY_EVERY_S
         if topics.probe not in self._refused and self.client.protocol is ProtocolVersion.V5:

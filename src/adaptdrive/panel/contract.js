@@ -25,6 +25,8 @@
  * }} Fast
  * @typedef {{time: string, kind: string, severity: string, detail: string, remedy: string, trip_kind: string}} DriveEvent
  * @typedef {{timeS: number, output: number|null, boost_voltage_V: number|null, reference: number|null, asked_V: number|null}} Point
+ * @typedef {{change: number|null, changeStd: number|null, trend: number|null, trendStd: number|null, since: string, step: number|null, stepStd: number|null, outside: boolean}} HealthOf
+ * @typedef {{time: string, quantities: Record<string, HealthOf>, times: (number|null)[], courses: Record<string, (number|null)[]>}} Health
  * @typedef {{timeS: number, kind: string, text: string}} Mark
  * @typedef {{rows: Load[], points: Point[]}} Past
  * @typedef {{id: string, accepted: boolean, reason: string}} Reply
@@ -41,6 +43,7 @@ const Contract = (() => {
     ["state", "state"],
     ["telemetry/load", "load"],
     ["telemetry/drive", "fast"],
+    ["health", "health"],
     ["event", "event"],
     ["reply", "reply"],
     ["history", "history"],

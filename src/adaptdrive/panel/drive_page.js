@@ -26,7 +26,7 @@ const DrivePage = (() => {
       Dom.make("div.columns", {}, Dom.make("div.left", {}, now.root, now.details), plotted, controls.root),
       Dom.make("section", {}, Dom.make("h2", {}, "Events"), events, ...report(drive.name)),
     );
-    const plots = Plots.open(plotted, drive);
+    const plots = Plots.open(plotted, drive), health = HealthPlot.open(plotted, drive);
     Link.askHistory(drive.name);
     let seen = -1;
     const built = drive.build;
@@ -39,6 +39,7 @@ const DrivePage = (() => {
       now.draw(drive);
       controls.draw();
       plots.draw();
+      health.draw();
       if (seen === drive.eventVersion) return;
       seen = drive.eventVersion;
       latest.replaceChildren(...drive.events.slice(0, LATEST).map((one) => eventRow(one, drive.name)));
@@ -52,7 +53,7 @@ const DrivePage = (() => {
       Controls.ask(drive, answer, bar, "disable");
     }
     document.addEventListener("keydown", press);
-    return { draw, outdated: () => drive.build !== built, end() { document.removeEventListener("keydown", press); plots.end(); } };
+    return { draw, outdated: () => drive.build !== built, end() { document.removeEventListener("keydown", press); plots.end(); health.end(); } };
   }
 
   /** A link to the plot of the session, where the server of the page draws it. @param {string} name */
@@ -151,7 +152,7 @@ const DrivePage = (() => {
   function estimateRow(name, one, names, outputUnit, givenUnit) {
     const { text, unit } = Contract.named(name, names, outputUnit, givenUnit);
     const doubt = one.std == null ? "uncertainty unknown" : `± ${Dom.number(2 * one.std, unit, 2)} (2 σ)`;
-    const known = !(2 * (one.std ?? 0) >= Math.abs(one.value ?? Infinity));
+    const known = name === "input_offset" || !(2 * (one.std ?? 0) >= Math.abs(one.value ?? Infinity));
     return [text, known ? Dom.number(one.value, unit) : "not known", doubt];
   }
 

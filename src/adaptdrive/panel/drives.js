@@ -20,6 +20,7 @@ const Drives = (() => {
       /** @type {State|null} */ this.state = null;
       /** @type {Load|null} */ this.load = null;
       /** @type {Fast|null} */ this.fast = null;
+      /** @type {Health|null} */ this.health = null;
       /** @type {Feature[]} */ this.features = [];
       /** @type {DriveEvent[]} */ this.events = [];
       /** @type {Load[]} */ this.slowRows = [];
@@ -104,6 +105,7 @@ const Drives = (() => {
       if (kind === "state") this._takeState(message);
       if (kind === "load") this._takeLoad(message, retained);
       if (kind === "fast") this._takeFast(message);
+      if (kind === "health") this.health = message;
       if (kind === "event") this._takeEvent(message);
       if (kind === "history") this.remember(message);
     }

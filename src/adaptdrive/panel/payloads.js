@@ -98,6 +98,29 @@ const Payloads = (() => {
     return { rows: rows.filter(isTimed), points: readings.map(point).filter((one) => Number.isFinite(one.timeS)) };
   }
 
+  /** @param {Record<string, unknown>} raw @returns {Health} */
+  function health(raw) {
+    const all = row(raw.times_s);
+    const kept = all.flatMap((timeS, i) => (timeS !== null && timeS >= 0 && timeS > (all[i - 1] ?? -1) ? [i] : []));
+    return {
+      time: text(raw.time), quantities: map(raw.quantities, (one) => quantity(fields(one))),
+      times: kept.map((i) => all[i]), courses: map(raw.courses, (one) => kept.map((i) => row(one)[i] ?? null)),
+    };
+  }
+
+  /** @param {Record<string, unknown>} raw @returns {HealthOf} */
+  function quantity(raw) {
+    return {
+      change: number(raw.change_percent), changeStd: number(raw.change_std), trend: number(raw.trend_percent), trendStd: number(raw.trend_std),
+      since: text(raw.since), step: number(raw.step_percent), stepStd: number(raw.step_std), outside: raw.outside === true,
+    };
+  }
+
+  /** @param {unknown} value @returns {(number|null)[]} */
+  function row(value) {
+    return Array.isArray(value) ? value.slice(0, MOST_ROWS).map(number) : [];
+  }
+
   /** A reading of the history. @param {unknown[]} raw @returns {Point} */
   function point(raw) {
     const timeS = number(raw[0]) ?? NaN;
@@ -128,7 +151,7 @@ const Payloads = (() => {
   }
 
   /** @type {Record<string, (raw: Record<string, unknown>) => any>} */
-  const MAKERS = { state, load, fast, event, history, reply, features };
+  const MAKERS = { state, load, fast, event, health, history, reply, features };
   const UNTIMED = new Set(["history", "reply", "features"]);
 
   /** Hold a payload to the types of its topic; null for one without a time that can be read.

@@ -18,9 +18,20 @@ from typing import ParamSpec, TypeVar
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import log_files, overview, reader, records, retention, segments, session
+from adaptdrive.recording import (
+    condition,
+    health,
+    log_files,
+    overview,
+    reader,
+    records,
+    retention,
+    segments,
+    session,
+)
 from adaptdrive.recording.tables import NOTE_ROWS, table_schema, write_parquet
-from adaptdrive.runtime.reports import BINS, MONOTONIC, Severity, bin_of
+from adaptdrive.runtime.health import HealthReport
+from adaptdrive.runtime.reports import BINS, MONOTONIC, Event, Severity, bin_of
 from adaptdrive.safety.trips import ADVICES, kind_of, remedy
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
 from adaptdrive.util.files import alone
@@ -152,6 +163,7 @@ def _text(drive: str, trip: records.EventRow, events: list[records.EventRow]) ->
 # The archive: a fold from the log of a drive to the folders of its sessions.
 
 Report = Callable[[Severity, str], None]
+Publish = Callable[[Event | HealthReport], None]
 
 ERRORS = (AdaptdriveError, OSError, pa.ArrowException)
 """Errors that a disk or damaged files can cause."""
@@ -188,7 +200,13 @@ class _Logged:
             return write(*what, **named)
 
 
-def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[Path]:
+def archive(
+    folder: Path,
+    now_s: float,
+    after_s: float,
+    report: Report,
+    publish: Publish = lambda _: None,
+) -> list[Path]:
     """Write what the log has into the folders of its sessions.
 
     A session that cannot be written stays in the log and keeps no other from being written.
@@ -198,6 +216,7 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
         now_s: Present time, monotonic.
         after_s: Time after a trip that belongs to its record.
         report: Reports an event.
+        publish: Takes the health of the load, and events about it.
 
     Returns:
         Folders of the records of trips that were written.
@@ -222,7 +241,7 @@ def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[
                     continue
                 open_part = files[-1].part if live and newest else 0
                 logged = _Logged(begin.header, of_session, newest, open_part)
-                written += _archive(logged, now_s, after_s, report)
+                written += _archive(logged, now_s, after_s, report, publish)
             except ERRORS as problem:
                 failures.append(f"session {started} stays in the log: {problem}")
         if failures:
@@ -241,7 +260,9 @@ def _put_aside(files: Sequence[log_files.LogFile], report: Report) -> None:
         report(Severity.WARNING, f"{kept} is of no session that can be told: it is kept")
 
 
-def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> list[Path]:
+def _archive(
+    logged: _Logged, now_s: float, after_s: float, report: Report, publish: Publish
+) -> list[Path]:
     directory = _directory(logged)
     if directory is None:
         return []
@@ -256,6 +277,11 @@ def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> l
                 report(Severity.WARNING, f"session {directory.name}: {loss}")
     if not logged.open and info.ended is session.Ending.OPEN:
         logged.with_reserve(_cut, directory, info, report)
+    if logged.header.health.loss:
+        try:
+            logged.with_reserve(_update_health, directory, logged.header.health, publish)
+        except ERRORS as problem:
+            report(Severity.WARNING, f"health of session {directory.name}: {problem}")
     if logged.newest:
         keep = logged.header.keep
         for sentence in retention.prune(directory.parent, keep, datetime.now(UTC), directory):
@@ -269,6 +295,21 @@ def _update_index(directory: Path, report: Report) -> None:
         overview.update_index(directory.parent, {directory.name})
     except ERRORS as problem:  # only pages lack it: the log need not wait
         report(Severity.WARNING, f"session {directory.name} has no overview: {problem}")
+
+
+def _update_health(directory: Path, settings: records.HealthSettings, publish: Publish) -> None:
+    """Add the rows of the health of a load, and publish it."""
+    rows = health.add_rows(directory, settings)
+    if crossed := condition.crossings(rows, settings):
+        for one in crossed:
+            severity = Severity.WARNING if one.row.outside else Severity.INFO
+            publish(Event("health", severity, one.text, -1))
+        new = [one.row for one in crossed]
+        path = health.health_path(directory.parent, session.read_info(directory).drive)
+        health.append_rows(path, new)
+        rows += new
+    if found := condition.report(rows, settings):
+        publish(found)
 
 
 def _directory(logged: _Logged) -> Path | None:

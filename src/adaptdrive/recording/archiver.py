@@ -18,9 +18,12 @@ from pathlib import Path
 import msgspec
 
 from adaptdrive.recording.records import Pace
-from adaptdrive.runtime.reports import Severity
+from adaptdrive.runtime.health import HealthReport
+from adaptdrive.runtime.reports import Event, Severity
 from adaptdrive.util.clock import in_thread, now_s
-from adaptdrive.util.errors import escaped
+
+EVENT_KIND = "recording"
+"""Kind of the events about the recorder itself."""
 
 NO_FIGURE = "--no-figure"
 """Word of the command line without which the figure of a trip is drawn."""
@@ -31,7 +34,10 @@ _FIGURE_PATIENCE_S = 120.0
 
 # The control process.
 
-Report = Callable[[Severity, str], None]
+Line = tuple[Severity, str, str] | HealthReport
+"""What the archiver reports: severity, detail and kind of an event, or the health of the load."""
+
+Report = Callable[[Line], None]
 
 
 async def run(log: Path, pace: Pace, report: Report, *words: str) -> str:
@@ -40,7 +46,7 @@ async def run(log: Path, pace: Pace, report: Report, *words: str) -> str:
     Args:
         log: Folder of the log.
         pace: Time after a trip, and what a thread does first.
-        report: Takes events, in the event loop.
+        report: Takes what it reports, in the event loop.
         words: More words of its command line.
 
     Returns:
@@ -49,9 +55,9 @@ async def run(log: Path, pace: Pace, report: Report, *words: str) -> str:
     loop = asyncio.get_running_loop()
     program = [sys.executable, "-P", "-m", "adaptdrive.recording.archiver"]
 
-    def notify(severity: Severity, detail: str) -> None:
+    def notify(line: Line) -> None:
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            loop.call_soon_threadsafe(report, severity, detail)
+            loop.call_soon_threadsafe(report, line)
 
     def call() -> str:
         pace.start_thread()
@@ -74,7 +80,7 @@ def _run(command: Sequence[str], notify: Report) -> str:
     ) as process:
         for line in process.stdout or ():
             with contextlib.suppress(msgspec.DecodeError):
-                notify(*msgspec.json.decode(line, type=tuple[Severity, str]))
+                notify(msgspec.json.decode(line, type=Line))
         reported = b"" if process.stderr is None else process.stderr.read()
     if process.returncode == 0:
         return ""
@@ -96,10 +102,16 @@ def step_aside() -> None:
         os.nice(5)
 
 
-def report(severity: Severity, detail: str) -> None:
+def publish(found: Event | HealthReport) -> None:
     """Report to the control process, if it is still there."""
+    line: Line = (found.severity, found.detail, found.kind) if isinstance(found, Event) else found
     with contextlib.suppress(OSError):
-        os.write(sys.stdout.fileno(), msgspec.json.encode((severity, escaped(detail))) + b"\n")
+        os.write(sys.stdout.fileno(), msgspec.json.encode(line) + b"\n")
+
+
+def report(severity: Severity, detail: str) -> None:
+    """Report an event of the recording."""
+    publish(Event(EVENT_KIND, severity, detail, -1))
 
 
 def draw(directory: Path) -> bool:
@@ -132,7 +144,7 @@ def main() -> None:
     from adaptdrive.recording.archive import ERRORS, archive  # noqa: PLC0415 - after that
 
     try:
-        trips = archive(Path(sys.argv[1]), now_s(), float(sys.argv[2]), report)
+        trips = archive(Path(sys.argv[1]), now_s(), float(sys.argv[2]), report, publish)
     except ERRORS as problem:
         sys.exit(str(problem))
     for directory in trips:

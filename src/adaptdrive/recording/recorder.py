@@ -15,9 +15,7 @@ import msgspec
 from adaptdrive.recording import archiver, log_files, records, session
 from adaptdrive.recording.log import SYNC, Clock, Log
 from adaptdrive.runtime import reports
-
-EVENT_KIND = "recording"
-"""Kind of the events about the recorder itself."""
+from adaptdrive.runtime.health import HealthReport
 
 STOPPED = "recording has stopped, control continues"
 UNBEGUN = "nothing is recorded, control continues"
@@ -170,7 +168,7 @@ class Recorder:
             self._due.clear()
 
     async def _run_archiver(self, *words: str) -> str:
-        return await archiver.run(self._place[0], self._pace, self._report, *words)
+        return await archiver.run(self._place[0], self._pace, self._take, *words)
 
     # -- from the feed to the log ----------------------------------------------------------------
 
@@ -276,8 +274,17 @@ class Recorder:
         elif what != SYNC and not self._log.failing:
             self._report(reports.Severity.INFO, "recording continues")
 
-    def _report(self, severity: reports.Severity, detail: str) -> None:
-        self._publish(reports.Event(EVENT_KIND, severity, detail, self._last_tick))
+    def _take(self, line: archiver.Line) -> None:
+        """Publish what the archiver reports."""
+        if isinstance(line, HealthReport):
+            self._publish(line)
+        else:
+            self._report(*line)
+
+    def _report(
+        self, severity: reports.Severity, detail: str, kind: str = archiver.EVENT_KIND
+    ) -> None:
+        self._publish(reports.Event(kind, severity, detail, self._last_tick))
 
 
 def with_folders(header: records.Header, log: Path, sessions: Path | None) -> records.Header:

@@ -20,6 +20,7 @@ from typing import Any
 
 import msgspec
 
+from adaptdrive.control.loads.load import Product
 from adaptdrive.recording.session import SessionInfo
 from adaptdrive.runtime import reports
 from adaptdrive.safety.trips import kind_of
@@ -118,6 +119,27 @@ class Keep(msgspec.Struct, frozen=True):
     bytes: int | None = None
 
 
+class HealthSettings(msgspec.Struct, frozen=True):
+    """What gives the estimates of a drive their meaning for the health of its load.
+
+    Attributes:
+        products: What the parameters of the load say of it.
+        loss: Name of what acts against its input; empty where its estimates are no physical
+            parameters.
+        share: 1 - ρ, what a sample brings of what an estimate knows.
+        least_excitation: rᵀPr above which a sample teaches.
+        nominal: Quantities of the nominal model, by name.
+        bounds: Lowest and highest value of quantities, None where there is no limit.
+    """
+
+    products: tuple[Product, ...] = ()
+    loss: str = ""
+    share: float = 1.0
+    least_excitation: float = 0.0
+    nominal: dict[str, float] = {}
+    bounds: dict[str, tuple[float | None, float | None]] = {}
+
+
 @dataclass(frozen=True, slots=True)
 class Pace:
     """Intervals and time-outs of the recorder's writes.
@@ -151,6 +173,7 @@ class Header(msgspec.Struct, frozen=True):
             recorded.
         segment_s: Length of a segment of the session.
         keep: How long sessions are kept.
+        health: What gives its estimates their meaning for the health of the load.
     """
 
     info: SessionInfo
@@ -158,6 +181,7 @@ class Header(msgspec.Struct, frozen=True):
     sessions: str = ""
     segment_s: float = 3600.0
     keep: Keep = Keep()
+    health: HealthSettings = HealthSettings()
 
 
 def slow_row(report: reports.LoadReport) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Generic, TypeVar
 
 from adaptdrive.control import signals
 from adaptdrive.control.signals import UNKNOWN, Reach
+from adaptdrive.runtime.health import HealthReport
 from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import escaped
 from adaptdrive.util.quantity import Quantity, columns_of
@@ -209,9 +210,8 @@ class DriveReport:
 
 EVENT_KINDS = (
     *("trip", "state", "controller", "mode", "fallback", "complete", "stop", "refused", "bus"),
-    "warning",
-    *("latency", "realtime", "checkpoint", "recording", "state directory"),
-    *("broker", "command", "outbox", "configuration"),
+    *("warning", "latency", "realtime", "checkpoint", "recording", "state directory"),
+    *("broker", "command", "outbox", "configuration", "health"),
 )
 """Kinds of events: of the drive, of the daemon's machine, and of the operators' side."""
 
@@ -291,7 +291,8 @@ class CommandReport:
     reason: str
 
 
-Report = StateReport | LoadReport | DriveReport | SensorSample | Event | TickReport | CommandReport
+Note = Event | CommandReport
+Report = StateReport | LoadReport | DriveReport | SensorSample | Note | TickReport | HealthReport
 
 TICK_COLUMNS = columns_of(TickReport)
 SLOW_COLUMNS = columns_of(LoadReport)

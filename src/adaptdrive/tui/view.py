@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from adaptdrive.mqtt.commands import (
+    OFFSET,
     given_in,
     is_known,
     number,
@@ -273,7 +274,8 @@ def _estimates(record: WatchRecord, *, wide: bool) -> Table:
         quantity, unit = quantity_and_unit(name, found, record.unit, given.unit)
         named = f"{quantity}, {unit}" if unit and wide else quantity
         learned, spread = number(estimate.get("value")), 2.0 * number(estimate.get("std"))
-        shown = (figure(learned), figure(spread, 2)) if is_known(estimate) else ("not known", "")
+        known = name == OFFSET or is_known(estimate)
+        shown = (figure(learned), figure(spread, 2)) if known else ("not known", "")
         real = (figure(number(truth.get(name))),) if truth else ()
         table.add_row(_text(named), *shown, *real)
     off = 100.0 * number(record.load.get("response_spread"))

@@ -12,9 +12,11 @@ import paho.mqtt.publish as paho
 import pytest
 from playwright.sync_api import Page, WebSocketRoute, expect
 
+from adaptdrive.mqtt import contract
 from tests.system.daemon.site import publish, until
 from tests.system.panel.browser import PATIENCE_MS, Panel, PanelSite, violations
 from tests.system.panel.conftest import MakePanel
+from tests.unit.mqtt.peers import HEALTH, WORN
 
 
 @pytest.fixture
@@ -198,6 +200,7 @@ def test_a_viewer_sees_everything_and_changes_nothing(
 
 MARKUP = "<img src=x onerror=alert(1)><script>alert(2)</script>"
 KEYS = {
+    "health": ("time", "quantities", "times_s", "courses"),
     "state": (
         "state",
         "mode",
@@ -320,6 +323,17 @@ def test_a_drive_that_has_not_confirmed_its_stop_is_not_shown_as_off(
     hostile(port, "adaptdrive/lost/state", {"time": NOW, "state": "standby", "stop": "confirmed"})
     expect(open_stop).to_have_text("")
     publish(port, "adaptdrive/lost/availability", "offline")
+
+
+def test_the_health_of_the_load_is_plotted_with_what_it_means(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    health = contract.health_message(HEALTH) | {"quantities": {"friction": WORN}}
+    hostile_raw(panel_site.site.broker_port, "adaptdrive/motor/health", contract.encode(health))
+    operator.page.get_by_text("friction 1 ± 0.04\u202f% a week, out of its bounds").wait_for()
+    plot = operator.page.locator("figure", has_text="health: change since the first days")
+    assert plot.locator("canvas").count() == 1
+    assert plot.locator(".u-legend").inner_text().count("friction") == 1
 
 
 @pytest.mark.proof

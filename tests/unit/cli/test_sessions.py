@@ -15,7 +15,7 @@ import msgspec
 import pytest
 
 import adaptdrive
-from adaptdrive.recording.recorder import EVENT_KIND
+from adaptdrive.recording.archiver import EVENT_KIND
 from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import Dropped, create_session
 from adaptdrive.runtime.reports import EVENT_KINDS

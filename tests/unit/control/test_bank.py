@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from adaptdrive.control import thresholds
 from adaptdrive.control.estimation.bank import Bank
-from adaptdrive.control.estimation.change import Branch, ChangeDetector
+from adaptdrive.control.estimation.change import DISTURBANCE, LOAD, Branch, ChangeDetector
 from adaptdrive.control.estimation.estimator import LambdaEstimator
 from adaptdrive.control.estimation.regression import Observation, Regression
 from tests.integration.closed_loop.bench import MOTOR
@@ -63,6 +63,7 @@ class Seen:
     doubtful: list[bool] = field(default_factory=list)
     alarms: list[int] = field(default_factory=list)
     branches: list[int] = field(default_factory=list)
+    decided: list[int] = field(default_factory=list)
 
 
 def learn_course(voltages: Array, outputs: Array, spike: float = 0.0) -> Seen:
@@ -87,6 +88,7 @@ def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> N
     seen.values.append(values)
     seen.shown.append(estimator.shown_deviations(values))
     seen.doubtful.append(estimator.is_doubtful())
+    seen.decided.append(estimator.decided)
     seen.branches.append(len(estimator.bank.branches))
     seen.alarms.append(estimator.detector.alarms)
 
@@ -129,6 +131,22 @@ def test_a_torque_is_noticed_and_leaves_the_load_as_it_was(torque: Seen) -> None
     assert max(error(values, 2.0) for values in torque.values[CHANGE_s:]) < 0.1
     offset_V = REGRESSION.input_offset(torque.estimator.estimate.theta, 0.0)
     assert offset_V == pytest.approx(-25.0, rel=0.1)
+
+
+def test_what_has_changed_is_decided(other_load: Seen, torque: Seen, spike: Seen) -> None:
+    """Another load may look like a disturbance at first, a disturbance not like a load."""
+    last = [one for one in other_load.decided[CHANGE_s - 1 :] if one][-1]
+    assert last == LOAD
+    assert {*torque.decided[CHANGE_s - 1 :]} == {0, DISTURBANCE}
+    assert LOAD not in spike.decided[CHANGE_s - 1 :]
+
+
+def test_an_offset_is_known_to_its_deviation(torque: Seen) -> None:
+    estimator = torque.estimator
+    estimator.shown_deviations(torque.values[-1])
+    deviation_V = estimator.offset_deviation()
+    assert abs(estimator.input_offset() + 25.0) < 4.0 * deviation_V
+    assert deviation_V < 5.0
 
 
 def test_a_spike_is_an_alarm_of_nothing_and_is_hardly_learnt(spike: Seen) -> None:

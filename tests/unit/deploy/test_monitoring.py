@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import tomllib
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from adaptdrive.mqtt.contract import NO_TRIP
+from adaptdrive.runtime.health import HealthQuantity
 from adaptdrive.runtime.reports import EVENT_KINDS
 from adaptdrive.safety.trips import TripKind
 from tools.pages.asyncapi import schema
@@ -61,7 +63,7 @@ def test_the_exporter_has_a_number_of_its_own_for_each_kind_of_trip() -> None:
 def test_telegraf_reads_topics_and_keys_that_are_published() -> None:
     document = tomllib.loads((FOLDER / "telegraf.conf").read_text(encoding="utf-8"))
     known = {topic.address.replace("{drive}", "+") for topic in topics() if topic.sent}
-    kept = {"adaptdrive_event": keys("event"), "adaptdrive_state": keys("state")}
+    kept = {f"adaptdrive_{name}": keys(name) for name in ("event", "state", "health")}
     for source in document["inputs"]["mqtt_consumer"]:
         assert set(source["topics"]) <= known
         published = kept.get(source["name_override"], PUBLISHED)
@@ -86,6 +88,8 @@ def test_the_dashboard_shows_fields_that_telegraf_stores() -> None:
     flat = {key.replace(".", "_") for key in PUBLISHED | keys("event") | keys("state")}
     assert fields
     assert {field for field in fields if not field.startswith("estimates_")} <= flat
+    assert any("quantities_.*_change_percent" in query for query in queries)
+    assert "change_percent" in {one.name for one in dataclasses.fields(HealthQuantity)}
     telegraf = tomllib.loads((FOLDER / "telegraf.conf").read_text(encoding="utf-8"))
     stored = {one["name_override"] for one in telegraf["inputs"]["mqtt_consumer"]}
     assert {

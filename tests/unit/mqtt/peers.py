@@ -8,6 +8,7 @@ import shutil
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from adaptdrive.control.signals import (
 )
 from adaptdrive.mqtt.contract import Output, Profile
 from adaptdrive.mqtt.service import MqttService
+from adaptdrive.runtime.health import HealthQuantity, HealthReport
 from adaptdrive.runtime.reports import (
     DriveReport,
     Hub,
@@ -117,6 +119,30 @@ class Bench:
 
     def topic(self, name: str) -> str:
         return f"adaptdrive/{self.drive}/{name}"
+
+
+WORN = HealthQuantity(
+    value=21.0,
+    std=0.05,
+    change_percent=5.0,
+    change_std=0.4,
+    trend_percent=1.0,
+    trend_std=0.04,
+    nominal=None,
+    since=None,
+    step_percent=None,
+    step_std=None,
+    outside=True,
+)
+HEALTH = HealthReport(
+    time=datetime(2026, 11, 30, 8, tzinfo=UTC),
+    running_h=560.0,
+    starts=56,
+    quantities={"friction": WORN, "inertia": replace(WORN, outside=False)},
+    times_s=(1.79e9, 1.8e9),
+    courses={"friction": (20.0, 21.0), "inertia": (21.0, None)},
+    changes=("2026-11-24T09Z load",),
+)
 
 
 @asynccontextmanager

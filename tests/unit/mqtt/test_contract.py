@@ -14,6 +14,7 @@ from adaptdrive.safety.trips import TripKind
 from tests.unit.mqtt.contract import validators
 from tests.unit.mqtt.memory_broker import MemoryBroker
 from tests.unit.mqtt.peers import (
+    HEALTH,
     OVER_VOLTAGE,
     STANDBY,
     Heard,
@@ -60,6 +61,7 @@ async def test_every_message_of_a_service_fits_its_schema(
         bench.host.show(replace(STANDBY, state=State.RUNNING, waveform=wave))
         bench.host.trip(OVER_VOLTAGE)
         bench.hub.publish(load_report(7))
+        bench.hub.publish(HEALTH)
         bench.hub.publish(drive_report(840))
         bench.hub.publish(replace(drive_report(0), measurement=None, age_s=float("nan")))
         bench.hub.publish(Event("trip", Severity.ALARM, "slow loop", 1, TripKind.SLOW_LOOP))

@@ -22,6 +22,7 @@ from adaptdrive.util.quantity import Given
 from tests.unit.mqtt.contract import validators
 from tests.unit.mqtt.memory_broker import MemoryBroker
 from tests.unit.mqtt.peers import (
+    HEALTH,
     OVER_VOLTAGE,
     ask,
     drive_report,
@@ -185,6 +186,52 @@ def test_each_key_is_one_that_home_assistant_documents(unit: str) -> None:
             assert component.get("unit_of_measurement") in CLASS_UNITS[kind]
             assert ("options" in component) == (kind == "enum")
             assert not ("options" in component and "state_class" in component)
+
+
+async def test_the_health_of_a_load_is_retained_and_shown(
+    broker: MemoryBroker, tmp_path: Path
+) -> None:
+    known = replace(profile("worn"), quantities=("friction", "inertia", "damping"))
+    components = json.loads(encode(discovery(known, "homeassistant")[1]))["components"]
+    async with (
+        serving(broker, "worn", tmp_path) as bench,
+        listening(broker, bench.topic("#")) as ear,
+    ):
+        bench.hub.publish(HEALTH)
+        live = await ear.on(bench.topic("health"))
+        async with listening(broker, bench.topic("health")) as late:
+            retained = await late.on(bench.topic("health"))
+    validators()["health"].validate(live.content)
+    assert retained.retained
+    assert retained.content == live.content
+    shown = {
+        name: rendered(one["value_template"], value_json=live.content)
+        for name, one in components.items()
+        if one.get("state_topic") == live.topic
+    }
+    assert shown == {
+        "health": "ON",
+        "health-friction": "21.0",
+        "health-inertia": "21.0",
+        "health-damping": "None",
+    }
+    attributes = components["health-friction"]["json_attributes_template"]
+    found = json.loads(rendered(attributes, value_json=live.content))
+    assert (found["trend_percent"], found["trend_std"]) == (1.0, 0.04)
+    assert {*components["health-friction"]} <= DOCUMENTED["sensor"][1] | ANY
+
+
+async def test_a_broker_that_was_started_again_has_the_health_again(
+    broker: MemoryBroker, tmp_path: Path
+) -> None:
+    async with serving(broker, "worn", tmp_path) as bench:
+        bench.hub.publish(HEALTH)
+        async with listening(broker, bench.topic("health")) as ear:
+            first = await ear.on(bench.topic("health"))
+        broker.kill()
+        broker.restart()
+        async with listening(broker, bench.topic("health")) as late:
+            assert (await late.on(bench.topic("health"))).content == first.content
 
 
 def test_the_answer_to_another_client_changes_no_refusal() -> None:

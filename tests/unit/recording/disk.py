@@ -22,7 +22,8 @@ from adaptdrive.recording import archiver
 from adaptdrive.recording import log as log_module
 from adaptdrive.recording.archive import ERRORS, archive
 from adaptdrive.recording.log import Log
-from adaptdrive.runtime.reports import Severity
+from adaptdrive.runtime.health import HealthReport
+from adaptdrive.runtime.reports import Event, Severity
 
 RETRY_S = 0.5
 
@@ -86,13 +87,22 @@ def archive_in_process(patch: pytest.MonkeyPatch) -> None:
     """Run the archiver here; its time is that of the event loop."""
     loop = asyncio.get_running_loop()
 
-    def run(command: Sequence[str], notify: Callable[[Severity, str], None]) -> str:
+    def run(command: Sequence[str], notify: archiver.Report) -> str:
+        def publish(found: Event | HealthReport) -> None:
+            if isinstance(found, Event):
+                notify((found.severity, found.detail, found.kind))
+            else:
+                notify(found)
+
+        def report(severity: Severity, detail: str) -> None:
+            notify((severity, detail, archiver.EVENT_KIND))
+
         try:
-            trips = archive(Path(command[4]), loop.time(), float(command[5]), notify)
+            trips = archive(Path(command[4]), loop.time(), float(command[5]), report, publish)
         except ERRORS as problem:
             return str(problem)
         for directory in trips:
-            notify(Severity.INFO, f"the record of the trip is in {directory}")
+            report(Severity.INFO, f"the record of the trip is in {directory}")
         return ""
 
     def at_once(call: Callable[[], str], _: str) -> Future[str]:

@@ -19,9 +19,10 @@ import pytest
 
 from adaptdrive.recording import log as log_module
 from adaptdrive.recording.archive import archive
+from adaptdrive.recording.archiver import EVENT_KIND
 from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.reader import Session, read_session, session_notes, verify
-from adaptdrive.recording.recorder import EVENT_KIND, Recorder
+from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header, Keep, Pace
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import Dropped, Ending, session_directories

@@ -124,6 +124,8 @@ DISTURBANCE = 1
 LOAD = 2
 ANEW = 3
 
+WORDS = {0: "", DISTURBANCE: "disturbance", LOAD: "load", ANEW: "load and disturbance"}
+
 ODDS_AGAINST = {
     DISTURBANCE: thresholds.RARE,
     LOAD: thresholds.RARE + thresholds.RARER,

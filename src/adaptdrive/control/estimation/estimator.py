@@ -50,6 +50,7 @@ class Estimator:
         excitation: rᵀPr of the last sample.
         periods: Slow periods since start.
         unseen_periods: Slow periods since a sample that would have shown another load.
+        decided: Kind of change that explains the last sample, decided at it; 0 for none.
     """
 
     physical: ClassVar[bool] = False
@@ -71,6 +72,7 @@ class Estimator:
         self.excitation = 0.0
         self.periods = 0
         self.unseen_periods = 0
+        self.decided = 0
 
     @property
     def estimate(self) -> Estimate:
@@ -106,6 +108,10 @@ class Estimator:
     def input_offset(self) -> float:
         """Return the constant input with the effect of what is no dynamics; NaN without a bias."""
         raise NotImplementedError
+
+    def offset_deviation(self) -> float:
+        """Return its standard deviation, of the deviations shown last; NaN while unknown."""
+        return math.nan
 
     def is_contested(self) -> bool:
         """Return whether the latest samples speak for another load than the estimate."""
@@ -153,6 +159,7 @@ class Estimator:
         own, sample = self.estimate, self.sample
         sample.target = output / self.learning.output_scale
         self.periods += 1
+        self.decided = 0
         own.predict(sample.regressor, sample.target)
         self.show(own)
         usual = all(abs(one) < _LARGEST for one in (own.innovation, *sample.regressor))
@@ -203,7 +210,7 @@ class LambdaEstimator(Estimator):
         self.incremental = IncrementalModel(regression)
         self.charge = 0.0
         self.lost_periods = 0
-        self._opened = Branch(regression)
+        self._opened, self._opened_noise = Branch(regression), math.nan
         self._nominal = [0.0] * regression.size
         nominal = regression.theta_of(list(load.numerator), list(load.denominator))
         vectors.copy_into(self._nominal, nominal)
@@ -286,6 +293,7 @@ class LambdaEstimator(Estimator):
         another = self.bank.learn(self.detector, self.sample)
         own = self.bank.estimate
         if another:
+            self.decided = own.kind
             self.incremental.charge_disturbance(own)
             # what the one before could not explain is no noise
             usual = self.detector.noise_power(self.sample.rounding) * self.residuals.weight
@@ -357,8 +365,13 @@ class LambdaEstimator(Estimator):
             for i in range(self.regression.order):
                 direction = self.regression.load_direction(opened.theta, i)
                 opened.widen(direction, spread * spread)
+        self._opened_noise = noise
         return self.regression.deviations(opened, noise, values)
 
     def input_offset(self) -> float:
         """Return the constant input with the effect of bias and charge; NaN without a bias."""
         return self.regression.input_offset(self.in_force.theta, self.charge)
+
+    def offset_deviation(self) -> float:
+        """Return its standard deviation, of the deviations shown last; NaN while unknown."""
+        return self.regression.offset_deviation(self._opened, self._opened_noise, self.charge)

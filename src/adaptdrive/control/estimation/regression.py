@@ -310,6 +310,29 @@ class Regression:
         size, root = len(values), self.root(estimate, noise, values)
         return [math.hypot(*root[i * size : (i + 1) * size]) for i in range(size)]
 
+    def offset_deviation(self, estimate: Estimate, noise: float, charge: float) -> float:
+        """Return the standard deviation of the input offset, to first order; NaN without a bias.
+
+        Args:
+            estimate: θ and P.
+            noise: σ of the innovations, scaled.
+            charge: q/τ_λ, scaled.
+        """
+        gain, known, power = self.gain(estimate.theta), estimate.covariance(), 0.0
+        if not self.learning.bias or gain == 0.0:
+            return math.nan
+        slope = [0.0] * self.size
+        offset = self.input_offset(estimate.theta, charge) / self.learning.input_scale
+        for i in range(self.order, self.first):
+            slope[i] = -offset / gain
+        slope[self.size - 1] = 1.0 / gain
+        if self.learning.charge:
+            slope[self._charge] = charge / gain
+        for i in range(self.size):
+            for j in range(self.size):
+                power += slope[i] * known[i * self.size + j] * slope[j]
+        return noise * self.learning.input_scale * math.sqrt(max(0.0, power))
+
     def root(self, estimate: Estimate, noise: float, values: Vector) -> Vector:
         """Return L, lower triangular, flat, of their covariance L Lᵀ, to first order.
 

@@ -14,6 +14,8 @@ from adaptdrive.control.vectors import Vector
 
 NAMES = ("resistance_K_per_W", "tau_s")
 
+CONDUCTANCE = load.Product("conductance", ((NAMES[0], -1),))
+
 
 def bath_load(
     resistance_K_per_W: float,
@@ -40,7 +42,13 @@ def bath_load(
         lagging = motor.motor_load(resistance_K_per_W, tau_s, lag_s)
         names = (NAMES[0], *lagging.names[1:])
         return replace(
-            lagging, input_gain=input_gain, input_exponent=2, names=names, delay_s=delay_s
+            lagging,
+            input_gain=input_gain,
+            input_exponent=2,
+            names=names,
+            delay_s=delay_s,
+            products=(_capacity("tau_product_s2"), CONDUCTANCE),
+            loss="heat_loss",
         )
     return load.Load(
         numerator=(0.0, resistance_K_per_W / tau_s),
@@ -53,7 +61,14 @@ def bath_load(
         realise=realise,
         paper_model=paper_model,
         delay_s=delay_s,
+        products=(_capacity("tau_s"), CONDUCTANCE),
+        loss="heat_loss",
     )
+
+
+def _capacity(lag: str) -> load.Product:
+    """Return the heat capacity; with a sensor that lags, times that lag."""
+    return load.Product("heat_capacity", ((lag, 1), (NAMES[0], -1)))
 
 
 def physical(numerator: Vector, denominator: Vector) -> Vector:

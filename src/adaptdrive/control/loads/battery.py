@@ -31,6 +31,11 @@ from adaptdrive.control.vectors import Vector
 
 NAMES = ("direct_S", "gain_S", "tau_s")
 
+PRODUCTS = (
+    load.Product("series_resistance", (("direct_S", -1),)),
+    load.Product("resistance", (("gain_S", -1),)),
+)
+
 
 def battery_load(
     turns_ratio: float,
@@ -60,6 +65,8 @@ def battery_load(
         realise=realise,
         paper_model=paper_model,
         charging=charging,
+        products=PRODUCTS,
+        loss="emf",
     )
 
 

@@ -5,7 +5,7 @@ voltage to that input. A new load is one new file that provides a `Load`.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from adaptdrive.control.vectors import Vector
@@ -41,6 +41,23 @@ class Charging:
     longest_s: float = math.inf
 
 
+OFFSET = "input_offset"
+"""Name of the estimated constant at the input."""
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """A quantity of a load that grows in proportion to a product of its parameters.
+
+    Attributes:
+        name: Its name.
+        powers: Names of the parameters, and their powers.
+    """
+
+    name: str
+    powers: tuple[tuple[str, int], ...]
+
+
 @dataclass(frozen=True, slots=True)
 class Load:
     """One kind of load, with its nominal model.
@@ -57,6 +74,8 @@ class Load:
         paper_model: The discretisation that the paper uses for this load.
         charging: For a battery: when its current must taper and end.
         delay_s: Dead time from the input to the output.
+        products: What its parameters say of it.
+        loss: Name of what acts against the input: the offset with the opposite sign.
     """
 
     numerator: tuple[float, ...]
@@ -70,6 +89,8 @@ class Load:
     paper_model: Discretise
     charging: Charging | None = None
     delay_s: float = 0.0
+    products: tuple[Product, ...] = ()
+    loss: str = "loss"
 
     @property
     def order(self) -> int:
@@ -111,3 +132,24 @@ def to_voltage(load_input: float, gain: float, exponent: int) -> float:
     if exponent == 2:
         return math.sqrt(max(0.0, load_input / gain))
     return load_input / gain
+
+
+def derived(
+    products: Sequence[Product], loss: str, estimates: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the quantities that follow from estimates.
+
+    Args:
+        products: As of `Load`.
+        loss: As of `Load`.
+        estimates: Values of the estimates by name; one that is 0 has no inverse.
+    """
+    found = {}
+    for one in products:
+        if all(estimates.get(name) for name, _ in one.powers):
+            found[one.name] = 1.0
+            for name, power in one.powers:
+                found[one.name] *= estimates[name] ** float(power)
+    if OFFSET in estimates:
+        found[loss] = -estimates[OFFSET]
+    return found
