@@ -15,6 +15,7 @@ from msgspec.structs import asdict as asdict_of
 from adaptdrive.cli import UNUSABLE, discard_output, display, print_error
 from adaptdrive.cli.explain import with_kind
 from adaptdrive.cli.options import Contact, DriveName, Number
+from adaptdrive.cli.programs import Slope
 from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
 from adaptdrive.safety.trips import kind_of, remedy
 
@@ -22,15 +23,24 @@ ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
 _HERE = Contact()
 
 
-def setpoint(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:
+def setpoint(
+    drive: DriveName,
+    value: Number,
+    /,
+    *,
+    ramp: Slope | None = None,
+    contact: Contact = _HERE,
+) -> int:
     """Hold a constant set-point.
 
     Args:
         drive: Name of the drive.
         value: Set-point in the unit of the output.
+        ramp: Slope of the way there, such as 2/s, 1.5/min or 20/h; that of the configuration when
+            left out.
         contact: Broker.
     """
-    return _ask(drive, "setpoint", value, contact)
+    return _ask(drive, "setpoint", value, contact, slope=ramp)
 
 
 def waveform(  # noqa: PLR0913 - the words of the command line

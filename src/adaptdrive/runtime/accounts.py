@@ -32,15 +32,16 @@ def state_report(
         stop: Confirmation of the stop by the drive.
         shutting_down: Whether the daemon ends.
     """
-    trip = machine.trip
+    trip, asked = machine.trip, machine.asked
     return reports.StateReport(
         state=machine.state,
         mode=machine.mode,
         controller=_source(machine.mode, decision),
         reason=machine.obstacle or _reason(machine, decision),
         enabled=machine.energised,
-        setpoint=machine.setpoint,
-        waveform=machine.waveform,
+        setpoint=asked.setpoint,
+        slope=None if asked.ramp is None else asked.ramp.slope,
+        waveform=asked.waveform,
         pole=machine.pole,
         trip=None if trip is None else trip.text,
         trip_kind=None if trip is None else trip.kind,

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 
 from adaptdrive.config import Configuration
 from adaptdrive.control.schedule import TwoRate
-from adaptdrive.control.signals import Decision, Reach, Snapshot
+from adaptdrive.control.signals import Decision, Mode, Reach, Snapshot
 from adaptdrive.devices.port import LAST_STOP_GAP_S, LAST_STOPS, Port
 from adaptdrive.runtime import (
     accounts,
@@ -220,13 +220,21 @@ class Daemon:
         cause = (fast.cause or self._refused_cause) if starts else None
         voltage_V = fast.command.boost_reference_V
         self._machine.carry_out(request, fast.tick, output, cause, voltage_V)
+        self._take_effect(mode)
+        return self._machine.state
+
+    def _take_effect(self, mode: Mode) -> None:
+        """Send and publish what the state machine has become between two ticks.
+
+        Args:
+            mode: Its mode before.
+        """
         if self._machine.commanded_off:
             self._fast.send_safe()
         if self._machine.mode is not mode:
             detail = f"mode {mode} to {self._machine.mode}"
             self._announcer.publish_event("mode", reports.Severity.INFO, detail)
         self._announcer.publish_state()
-        return self._machine.state
 
     async def _reload(self, request: requests.Reload) -> reports.State:
         """Have another run follow this one, which ends; nothing energises the drive meanwhile."""
@@ -268,6 +276,9 @@ class Daemon:
     def ticked(self, report: reports.TickReport) -> None:
         """Publish a tick that is complete."""
         self._hub.publish(report)
+        mode = self._machine.mode
+        if self._machine.progress(self._fast.tick):
+            self._take_effect(mode)
         if self._announcer.outdated:
             self._announcer.publish_state()
         if self._support is not None:

@@ -62,6 +62,7 @@ class StateReport:
         reason: Why `controller` differs from `mode`, or an empty string.
         enabled: Whether the drive has been enabled.
         setpoint: Constant set-point in the unit of the output; the last one while a waveform runs.
+        slope: Change of the reference in one second on its way there; None once it is there.
         waveform: The running waveform, None while the set-point is constant.
         pole: Closed-loop pole asked for.
         trip: Text of the latched trip, None when not tripped.
@@ -88,6 +89,7 @@ class StateReport:
     reach: Reach = UNKNOWN
     coasting: bool = False
     trip_kind: TripKind | None = None
+    slope: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

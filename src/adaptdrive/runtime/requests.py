@@ -25,10 +25,17 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class SetSetpoint(Request):
-    """Hold a constant set-point, in the unit of the output; stops a waveform."""
+    """Hold a constant set-point, in the unit of the output; stops a waveform.
+
+    Attributes:
+        value: The set-point.
+        slope: Change of the reference in one second on its way there; None for
+            `load.reference_slope`.
+    """
 
     verb = "setpoint"
     value: float
+    slope: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

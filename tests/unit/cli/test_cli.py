@@ -103,6 +103,10 @@ def outcome(*words: str, **environment: str) -> tuple[int, str, str]:
     [
         ("setpoint bench 3.1", SetSetpoint(3.1)),
         ("setpoint bench -3", SetSetpoint(-3.0)),
+        ("setpoint bench 3 --ramp 0.5/s", SetSetpoint(3.0, 0.5)),
+        ("setpoint bench 3 --ramp 3/min", SetSetpoint(3.0, 0.05)),
+        ("setpoint bench 3 --ramp 36/h", SetSetpoint(3.0, 0.01)),
+        ("setpoint bench 3 --ramp 2", SetSetpoint(3.0, 2.0)),
         ("waveform bench square 3 3.2 120", SetWaveform(Waveform(Shape.SQUARE, 3.0, 3.2, 120.0))),
         ("waveform bench sine -1 1 5", SetWaveform(Waveform(Shape.SINE, -1.0, 1.0, 5.0))),
         ("waveform bench off", SetWaveform(None)),
