@@ -15,7 +15,7 @@ from msgspec.structs import asdict as asdict_of
 from adaptdrive.cli import UNUSABLE, discard_output, display, print_error
 from adaptdrive.cli.explain import with_kind
 from adaptdrive.cli.options import Contact, DriveName, Number
-from adaptdrive.cli.programs import Slope
+from adaptdrive.cli.programs import Slope, read_program
 from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
 from adaptdrive.safety.trips import kind_of, remedy
 
@@ -75,6 +75,31 @@ def waveform(  # noqa: PLR0913 - the words of the command line
         return print_error("adaptdrive", missing, UNUSABLE)
     value = {"shape": shape, **numbers}
     return _ask(drive, "waveform", value, contact, preview=preview)
+
+
+def program(
+    action: Literal["start", "check", "pause", "resume", "skip", "stop"],
+    drive: DriveName,
+    file: Path | None = None,
+    /,
+    *,
+    contact: Contact = _HERE,
+) -> int:
+    """Run a program of set-points; pause, resume or stop it, or skip a step.
+
+    Args:
+        action: What becomes of it; `check` asks whether the drive would start it.
+        drive: Name of the drive.
+        file: The program to start or to check.
+        contact: Broker.
+    """
+    starts = action in ("start", "check")
+    if starts is (file is None):
+        needed = "needs a FILE" if starts else "takes no FILE"
+        return print_error("adaptdrive", f"program {action} {needed}", UNUSABLE)
+    if file is None:
+        return _ask(drive, "program", action, contact)
+    return _ask(drive, "program", read_program(file), contact, check=action == "check")
 
 
 def pole(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:

@@ -11,12 +11,14 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields
 from datetime import datetime
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, Protocol, get_type_hints
 
 import msgspec
 
 from adaptdrive.control.signals import Shape, Waveform
+from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import REQUESTS, Disable, Request
+from adaptdrive.safety.trips import Trip
 from adaptdrive.util.errors import RefusedError
 from adaptdrive.util.quantity import BOOST, Given
 
@@ -208,6 +210,35 @@ FORMS: dict[str, type[msgspec.Struct]] = {
     PING: msgspec.defstruct(PING, [], bases=(_Plain,), frozen=True, kw_only=True),
 }
 """Shape of the payload of each verb."""
+
+
+# What carries requests out.
+
+
+class Host(Protocol):
+    """The running drive, as far as operators are concerned."""
+
+    async def execute(self, request: Request) -> State:
+        """Carry out a request between two ticks.
+
+        Returns:
+            The state after it.
+
+        Raises:
+            RefusedError: The request cannot be carried out; nothing was changed.
+        """
+
+    def trip(self, cause: Trip) -> None:
+        """Trip at once for a cause outside the drive; the first cause stays until `reset`."""
+
+    def stop(self) -> State:
+        """Bring the drive into its safe state at once, in every state and at any time.
+
+        It neither waits nor refuses.
+
+        Returns:
+            The state after it.
+        """
 
 
 # Payloads for people: read with care, as every client may publish, and names of estimates.

@@ -16,9 +16,9 @@ from datetime import UTC, datetime
 from aiomqtt import Will
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt import connection, contract, desk, publisher, steady
+from adaptdrive.mqtt import commands, connection, contract, desk, publisher, steady
 from adaptdrive.mqtt.session import BrokerSession
-from adaptdrive.runtime import reports, requests
+from adaptdrive.runtime import reports
 from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.clock import repeat
 
@@ -232,7 +232,7 @@ class MqttService:
         self,
         profile: contract.Profile,
         settings: Mqtt,
-        host: requests.Host,
+        host: commands.Host,
         hub: reports.Hub,
         surroundings: OperatorLog,
     ) -> None:

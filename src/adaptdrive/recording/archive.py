@@ -22,7 +22,8 @@ import pyarrow as pa
 
 from adaptdrive.recording import log_files, reader, records, retention, segments, session
 from adaptdrive.recording.tables import NOTE_ROWS, table_schema, write_parquet
-from adaptdrive.runtime.reports import BINS, MONOTONIC, Severity, bin_of
+from adaptdrive.runtime.reports import MONOTONIC, Severity
+from adaptdrive.runtime.timebase import BINS, bin_of
 from adaptdrive.safety.trips import ADVICES, kind_of, remedy
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
 

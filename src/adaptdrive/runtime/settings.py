@@ -120,6 +120,13 @@ class AskedReference:
         """Return the same with a ramp that begins at a tick: nothing could follow it before."""
         return self if self.ramp is None else replace(self, moving=MovingReference(self.ramp, tick))
 
+    def later(self, ticks: int) -> Self:
+        """Return the same as many ticks later."""
+        if self.moving is None:
+            return self
+        begin_tick = self.moving.begin_tick + ticks
+        return replace(self, moving=MovingReference(self.moving.form, begin_tick))
+
 
 def on_the_way(start: float, setpoint: float, slope: float, tick: int) -> AskedReference:
     """Return a set-point with the ramp to it; with a slope that is infinite in one step.
@@ -150,12 +157,23 @@ def can_hold(reach: Reach, value: float) -> bool:
     return not (value < reach.low or value > reach.high)
 
 
+def coasts_at(setpoint: float, reach: Reach) -> bool:
+    """Return whether a set-point lets the load coast: 0 or less, and V_c cannot hold it."""
+    return setpoint <= 0.0 and not setpoint >= reach.low  # which may not be known
+
+
 def _require(  # noqa: PLR0913, PLR0917 - the parts of one sentence
     what: str, value: float, low: float, high: float, unit: str = "", why: str = ""
 ) -> None:
     """Refuse a value that is not finite, or outside of a range; an end that is NaN is none."""
     if not math.isfinite(value) or value < low or value > high:
         raise RefusedError(f"{what} = {value:.12g}{unit} is outside {low:g}…{high:g}{unit}{why}")
+
+
+def require_positive(what: str, value: float | None) -> None:
+    """Refuse a value that is not finite or not above 0; one that is left out is None."""
+    if value is not None and not (math.isfinite(value) and value > 0.0):
+        raise RefusedError(f"{what} = {value:.12g} is not a finite number above 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,20 +238,32 @@ class MachineLimits:
             unit, why = f" {self.load.output_unit}", f", which {self.drive.given.symbol} can hold"
             _require(what, value, reach.low, reach.high, unit, why)
 
+    def require_setpoint(self, what: str, value: float, reach: Reach) -> None:
+        """Refuse a set-point that is not allowed, or that V_c cannot hold and is no rest.
+
+        Arguments as of `require_reach`.
+        """
+        self.require_reference(what, value)
+        if not coasts_at(value, reach):
+            self.require_reach(what, value, reach)
+
+    def require_waveform(self, what: str, waveform: Waveform, reach: Reach) -> None:
+        """Refuse a waveform that is not allowed, or that V_c cannot follow.
+
+        Arguments as of `require_reach`.
+        """
+        for name, value in (("low", waveform.low), ("high", waveform.high)):
+            self.require_reference(f"{what} {name}", value)
+            self.require_reach(f"{what} {name}", value, reach)
+        self.require_period(f"{what} period_s", waveform.period_s)
+
     def slope(self, asked: float | None) -> float:
         """Return the slope of the way to a set-point, in its unit per second, infinite for a step.
 
         Args:
             asked: What its command asks for, None for the configured one.
-
-        Raises:
-            RefusedError: It is not finite, or not above 0.
         """
-        if asked is None:
-            return self.load.reference_slope or math.inf
-        if not (math.isfinite(asked) and asked > 0.0):
-            raise RefusedError(f"slope = {asked:.12g} is not a finite number above 0")
-        return asked
+        return (self.load.reference_slope or math.inf) if asked is None else asked
 
     def require_period(self, what: str, value: float) -> None:
         """Refuse a period of a waveform, in s, that is too short."""

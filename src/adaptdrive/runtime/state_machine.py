@@ -15,7 +15,13 @@ from typing import Final
 from adaptdrive.control.signals import Mode, MovingReference, Order, Stage, Waveform
 from adaptdrive.runtime import requests
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.settings import AskedReference, MachineLimits, on_the_way
+from adaptdrive.runtime.settings import (
+    AskedReference,
+    MachineLimits,
+    coasts_at,
+    on_the_way,
+    require_positive,
+)
 from adaptdrive.safety.trips import Trip
 from adaptdrive.util.errors import RefusedError
 
@@ -198,24 +204,17 @@ class Machine:
 
     def _set_setpoint(self, value: float, slope: float | None, tick: int, output: float) -> None:
         """Go to a constant set-point; stop a waveform. A drive that coasts begins at its output."""
-        self._require_loop("setpoint")
-        self._limits.require_reference("setpoint", value)
-        coasts = self._coasts_at(value)
-        if not coasts:
-            self._limits.require_reach("setpoint", value, self.reach)
-        slope = self._limits.slope(slope)
-        if coasts and self.coasting:
-            slope = math.inf
+        self.require_loop("setpoint")
+        self._limits.require_setpoint("setpoint", value, self.reach)
+        require_positive("slope", slope)
+        coasts = coasts_at(value, self.reach)
+        slope = math.inf if coasts and self.coasting else self._limits.slope(slope)
         start = self.reach.nearest(output) if self.coasting else self.reference(tick)
         self.asked = on_the_way(start, value, slope, tick)
         if coasts and self.asked.ramp is None:
-            self._coast()
+            self.coast()
         elif self.coasting:
             self._start()
-
-    def _coasts_at(self, setpoint: float) -> bool:
-        """Return whether a set-point lets the load coast: V_c cannot hold it, and it is no more."""
-        return setpoint <= 0.0 and not setpoint >= self.reach.low  # which may not be known
 
     def progress(self, tick: int) -> bool:
         """End a ramp whose end is reached, between two ticks; return whether it has ended.
@@ -228,24 +227,21 @@ class Machine:
         ramp = self.asked.ramp
         if ramp is None or self.state is not _RUNNING:
             return False
-        reference, coasts = self.reference(tick), self._coasts_at(ramp.end)
+        reference, coasts = self.reference(tick), coasts_at(ramp.end, self.reach)
         if reference != ramp.end and not (coasts and reference < self.reach.low):
             return False
         self._hold(ramp.end)
         if coasts:
-            self._coast()
+            self.coast()
         return True
 
     def _set_waveform(self, waveform: Waveform | None, tick: int, *, preview: bool) -> None:
         """Follow a waveform from a tick on; None holds the present set-point."""
-        self._require_loop("waveform")
+        self.require_loop("waveform")
         if waveform is None:
             self._hold(self.reference(tick))
         else:
-            for name, value in (("low", waveform.low), ("high", waveform.high)):
-                self._limits.require_reference(f"waveform {name}", value)
-                self._limits.require_reach(f"waveform {name}", value, self.reach)
-            self._limits.require_period("waveform period_s", waveform.period_s)
+            self._limits.require_waveform("waveform", waveform, self.reach)
             moving = MovingReference(waveform, tick)
             self.asked = AskedReference(self.asked.setpoint, moving, preview)
             if self.coasting:
@@ -282,7 +278,7 @@ class Machine:
         at_rest = max(output, min(limits.load.reference_min, 0.0))
         self._hold(at_rest if below else limits.nearest_reference(output))
         if below or self.mode is Mode.MANUAL or not known:
-            self._coast()
+            self.coast()
         else:
             self._start()
 
@@ -387,13 +383,13 @@ class Machine:
         self._precharging = self._coasts = False
         self._awaited_s = math.inf
 
-    def _coast(self) -> None:
+    def coast(self) -> None:
         """Hold the drive off until a set-point within reach."""
         self.state, self.stopped = State.RUNNING, False
         self._coasts = True
 
-    def _require_loop(self, what: str) -> None:
-        """Refuse a set-point that nothing follows."""
+    def require_loop(self, what: str) -> None:
+        """Refuse a set-point that nothing follows; `what` is its name in the refusal."""
         if not self.energised:
             raise RefusedError(f"{what} needs an enabled drive; state is {self.state}")
         if self.mode is Mode.MANUAL:
