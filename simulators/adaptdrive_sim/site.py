@@ -248,6 +248,7 @@ class OperatedDrive(Site):
             command, _ = self.control(measurement, self.machine.order(self.ticks))
         self._command = command
         self.step(command)
+        self.machine.progress(self.ticks)
         return decided
 
     @property

@@ -271,9 +271,9 @@ class Drive:
         """
         return telemetry(self._broker, self._name)
 
-    async def set_setpoint(self, value: float) -> Reply:
-        """Hold a constant set-point, in the unit of the output."""
-        return await self.command("setpoint", value)
+    async def set_setpoint(self, value: float, slope: float | None = None) -> Reply:
+        """Hold a constant set-point; the reference goes there with so much in a second."""
+        return await self.command("setpoint", value, slope=slope)
 
     async def set_mode(self, mode: Literal["fixed", "adaptive", "manual"]) -> Reply:
         """Choose the controller, or manual."""

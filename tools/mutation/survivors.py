@@ -54,8 +54,6 @@ RUNTIME: dict[str, str] = {
     f"{_MACHINE}self._since_tick = 0 -> self._since_tick = 1": _SET_BEFORE_USE,
     f"{_MACHINE}self._precharging = False -> pass": _SET_BEFORE_USE,
     f"{_MACHINE}self._precharging = False -> self._precharging = True": _SET_BEFORE_USE,
-    f"{_MACHINE}self._waveform_tick = 0 -> pass": _SET_BEFORE_USE,
-    f"{_MACHINE}self._waveform_tick = 0 -> self._waveform_tick = 1": _SET_BEFORE_USE,
     "runtime.state_machine:Machine._set_voltage: self.manual = replace(self.manual, "
     f"{_VOLTAGE}0{_HOLD} -> self.manual = replace(self.manual, {_VOLTAGE}1{_HOLD}": _UNLIMITED,
     f"{_LOOP}__init__: self._wanted = signals.SAFE_COMMAND -> pass": _SET_BEFORE_USE,

@@ -276,7 +276,7 @@ def lied_to(job: tuple[str, str, int]) -> float:
     began_s = drive.now
     if fault.startswith("stuck"):
         drive.run(1.0)
-        drive.ask(SetSetpoint(high if drive.machine.setpoint < 0.75 * high else low))
+        drive.ask(SetSetpoint(high if drive.machine.asked.setpoint < 0.75 * high else low))
     drive.run(WAITS_s[name])
     return drive.now - began_s if drive.machine.state is State.TRIPPED else math.inf
 

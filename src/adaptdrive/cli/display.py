@@ -28,6 +28,8 @@ def describe(drive: str, status: DriveStatus) -> str:
     unit, given = _unit(status.state or {}), commands.given_in(status.state or {})
     if status.state is not None:
         lines += _state(status.state, unit, live=status.online and status.live)
+        program = commands.program_text(status.state, status.telemetry.get("drive", {}))
+        lines += [_row("program", program)] if program else []
     if "load" in status.telemetry:
         lines += _load(status.telemetry["load"], unit, given)
     if "drive" in status.telemetry:

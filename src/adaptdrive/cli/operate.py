@@ -15,6 +15,7 @@ from msgspec.structs import asdict as asdict_of
 from adaptdrive.cli import UNUSABLE, discard_output, display, print_error
 from adaptdrive.cli.explain import with_kind
 from adaptdrive.cli.options import Contact, DriveName, Number, needing
+from adaptdrive.cli.programs import Slope, read_program
 from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
 from adaptdrive.safety.trips import kind_of, remedy
 
@@ -23,15 +24,24 @@ _HERE = Contact()
 _SHELL = "drive.<Tab> lists values and commands; drive.setpoint(VALUE); drive.enable(); exit leaves"
 
 
-def setpoint(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:
+def setpoint(
+    drive: DriveName,
+    value: Number,
+    /,
+    *,
+    ramp: Slope | None = None,
+    contact: Contact = _HERE,
+) -> int:
     """Hold a constant set-point.
 
     Args:
         drive: Name of the drive.
         value: Set-point in the unit of the output.
+        ramp: Slope of the way there, such as 2/s, 1.5/min or 20/h; that of the configuration when
+            left out.
         contact: Broker.
     """
-    return _ask(drive, "setpoint", value, contact)
+    return _ask(drive, "setpoint", value, contact, slope=ramp)
 
 
 def waveform(  # noqa: PLR0913 - the words of the command line
@@ -66,6 +76,31 @@ def waveform(  # noqa: PLR0913 - the words of the command line
         return print_error("adaptdrive", missing, UNUSABLE)
     value = {"shape": shape, **numbers}
     return _ask(drive, "waveform", value, contact, preview=preview)
+
+
+def program(
+    action: Literal["start", "check", "pause", "resume", "skip", "stop"],
+    drive: DriveName,
+    file: Path | None = None,
+    /,
+    *,
+    contact: Contact = _HERE,
+) -> int:
+    """Run a program of set-points; pause, resume or stop it, or skip a step.
+
+    Args:
+        action: What becomes of it; `check` asks whether the drive would start it.
+        drive: Name of the drive.
+        file: The program to start or to check.
+        contact: Broker.
+    """
+    starts = action in ("start", "check")
+    if starts is (file is None):
+        needed = "needs a FILE" if starts else "takes no FILE"
+        return print_error("adaptdrive", f"program {action} {needed}", UNUSABLE)
+    if file is None:
+        return _ask(drive, "program", action, contact)
+    return _ask(drive, "program", read_program(file), contact, check=action == "check")
 
 
 def pole(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:

@@ -56,6 +56,7 @@ _ARGUMENTS = {
     "start": "[CONFIG]",
     "explain": "[KIND]",
     "waveform": "DRIVE SHAPE [LOW HIGH PERIOD]",
+    "program": "ACTION DRIVE [FILE]",
 } | dict.fromkeys(("replay", "events", "plot", "identify", "whatif"), "[SESSION]")
 
 _LIST = "List the drives of a broker."

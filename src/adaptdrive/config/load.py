@@ -70,6 +70,9 @@ class LoadSection(section.Section):
     """lowest set-point"""
     reference_max: section.FiniteFloat
     """highest set-point"""
+    reference_slope: section.NonNegativeFloat = 0.0
+    """change of the reference in one second on its way to a set-point whose command gives none;
+    0: in one step. A waveform is followed as it is"""
     probe_share: float = section.key(0.0, span=(0.0, 0.1))
     """distance by which a constant set-point is moved to learn the load in mode adaptive, as a
     share of the set-point range (of a charging current: lowered by a share of itself); 0: never

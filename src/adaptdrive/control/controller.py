@@ -265,18 +265,16 @@ class Controller:
             held_V=held_V,
             resolution=resolution,
             rounding=rounding,
-            upcoming=self._upcoming(measurement.tick, order.waveform),
+            upcoming=self._upcoming(measurement.tick, order.moving),
         )
 
-    def _upcoming(self, tick: int, known: signals.KnownWaveform | None) -> tuple[float, ...]:
+    def _upcoming(self, tick: int, known: signals.MovingReference | None) -> tuple[float, ...]:
         """Return the set-points of the slow periods to come, none where they are not known."""
         if known is None:
             return ()
-        waveform, rates = known.waveform, self.settings.rates
+        rates = self.settings.rates
         ticks = [tick + i * rates.ticks_per_period for i in range(1, AHEAD)]
-        return tuple(
-            [waveform.value((later - known.begin_tick) * rates.nominal_tick_s) for later in ticks]
-        )
+        return tuple([known.value(later, rates.nominal_tick_s) for later in ticks])
 
     def _bearable(self, measurement: Measurement, share: float) -> float:
         """Return the V_c for a share of the voltage of a battery; infinite for other loads."""

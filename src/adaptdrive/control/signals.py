@@ -1,4 +1,4 @@
-"""The values that enter and leave the controller, and set-point waveforms.
+"""The values that enter and leave the controller, and set-points that move by themselves.
 
 All inputs of the controller arrive in a `Measurement` and an `Order`; all its outputs
 leave in a `Command`. A recording of the first two reproduces the third bit for bit. A field that
@@ -12,7 +12,7 @@ from typing import Annotated, Self
 
 from adaptdrive.util.quantity import Quantity
 
-# Set-point waveforms: pure functions of the time since they were started.
+# Set-points that move by themselves: pure functions of the time since they were started.
 
 
 class Shape(StrEnum):
@@ -46,29 +46,67 @@ class Waveform:
 
 
 @dataclass(frozen=True, slots=True)
-class KnownWaveform:
-    """A waveform of which the controller may preview what comes.
+class Ramp:
+    """A set-point on its way to another one.
 
     Attributes:
-        waveform: The set-point.
+        start: Where it begins, unit of the output.
+        end: Where it stays.
+        slope: Its change in one second, above 0.
+    """
+
+    start: float
+    end: float
+    slope: float
+
+    def value(self, elapsed_s: float) -> float:
+        """The set-point `elapsed_s` after the ramp was started."""
+        way, distance = self.slope * max(0.0, elapsed_s), self.end - self.start
+        if not abs(distance) > way:
+            return self.end
+        return self.start + math.copysign(way, distance)
+
+
+_RAMP = "ramp"
+
+
+@dataclass(frozen=True, slots=True)
+class MovingReference:
+    """A set-point that moves by itself from a tick on.
+
+    Attributes:
+        form: How it moves.
         begin_tick: Tick of its start.
     """
 
-    waveform: Waveform
+    form: Waveform | Ramp
     begin_tick: int
 
+    def value(self, tick: int, tick_s: float) -> float:
+        """Return the set-point at a tick.
+
+        Args:
+            tick: The tick.
+            tick_s: Nominal time from tick to tick.
+        """
+        return self.form.value((tick - self.begin_tick) * tick_s)
+
     def __str__(self) -> str:
-        wave = self.waveform
-        return f"{wave.shape} {wave.low!r} {wave.high!r} {wave.period_s!r} {self.begin_tick}"
+        form = self.form
+        if isinstance(form, Ramp):
+            return f"{_RAMP} {form.start!r} {form.end!r} {form.slope!r} {self.begin_tick}"
+        return f"{form.shape} {form.low!r} {form.high!r} {form.period_s!r} {self.begin_tick}"
 
     @classmethod
     def parse(cls, text: str) -> Self | None:
-        """Return the waveform that a text describes, None for an empty one."""
+        """Return the set-point that a text describes, None for an empty one."""
         if not text:
             return None
-        shape, low, high, period_s, tick = text.split()
-        wave = Waveform(Shape(shape), float(low), float(high), float(period_s))
-        return cls(wave, int(tick))
+        kind, *numbers, tick = text.split()
+        first, second, third = map(float, numbers)
+        if kind == _RAMP:
+            return cls(Ramp(first, second, third), int(tick))
+        return cls(Waveform(Shape(kind), first, second, third), int(tick))
 
 
 def _square(phase: float) -> float:
@@ -136,12 +174,13 @@ class Order:
     steady: Annotated[
         bool, Quantity("", "true while the set-point is constant, so that it may be probed")
     ] = False
-    waveform: Annotated[
-        KnownWaveform | None,
+    moving: Annotated[
+        MovingReference | None,
         Quantity(
             "",
-            "waveform of which the controller knows what comes: shape, low, high, period in s and "
-            "tick of its start; empty for none",
+            "set-point of which the controller knows what comes: shape, low, high and period in s, "
+            "or ramp, start, end and slope per s; then the tick of its start; empty for none",
+            "moving_reference",
         ),
     ] = None
 

@@ -10,13 +10,15 @@ import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields
-from datetime import datetime
-from typing import Annotated, Any, Literal, get_type_hints
+from datetime import datetime, timedelta
+from typing import Annotated, Any, Literal, Protocol, get_type_hints
 
 import msgspec
 
 from adaptdrive.control.signals import Shape, Waveform
+from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import REQUESTS, Disable, Request
+from adaptdrive.safety.trips import Trip
 from adaptdrive.util.errors import RefusedError
 from adaptdrive.util.quantity import BOOST, Given
 
@@ -210,7 +212,39 @@ FORMS: dict[str, type[msgspec.Struct]] = {
 """Shape of the payload of each verb."""
 
 
+# What carries requests out.
+
+
+class Host(Protocol):
+    """The running drive, as far as operators are concerned."""
+
+    async def execute(self, request: Request) -> State:
+        """Carry out a request between two ticks.
+
+        Returns:
+            The state after it.
+
+        Raises:
+            RefusedError: The request cannot be carried out; nothing was changed.
+        """
+
+    def trip(self, cause: Trip) -> None:
+        """Trip at once for a cause outside the drive; the first cause stays until `reset`."""
+
+    def stop(self) -> State:
+        """Bring the drive into its safe state at once, in every state and at any time.
+
+        It neither waits nor refuses.
+
+        Returns:
+            The state after it.
+        """
+
+
 # Payloads for people: read with care, as every client may publish, and names of estimates.
+
+_LONGEST_S = 1e9
+"""Least time that no program has."""
 
 _LARGEST = 1e100
 """Least number that no quantity has: sums and differences of smaller ones are numbers still."""
@@ -241,6 +275,25 @@ def given_in(state: Mapping[str, Any]) -> Given:
     """Return what a drive is commanded, and gives, from the payload of `state`."""
     found = part(state, "manipulated")
     return Given(*(printable(found.get(name, getattr(BOOST, name))) for name in ("name", "unit")))
+
+
+def program_text(state: Mapping[str, Any], drive: Mapping[str, Any]) -> str:
+    """Return the program that runs, or has run last, in words; empty before the first.
+
+    Args:
+        state: Payload of `state`.
+        drive: Payload of `telemetry/drive`.
+    """
+    program = part(state, "program")
+    if not program:
+        return ""
+    name, step, steps, does, status, reason = (
+        printable(program.get(key)) for key in ("name", "step", "steps", "does", "status", "reason")
+    )
+    left_s = number(part(drive, "remaining").get("program_s"))
+    left = f", {timedelta(seconds=round(left_s))} left" if 0.0 <= left_s < _LONGEST_S else ""
+    rest = f": {reason}" if status == "ended" else left
+    return f"{name} {status}{rest}; step {step} of {steps}: {does}"
 
 
 def unconfirmed_stop(state: Mapping[str, Any]) -> str:

@@ -18,7 +18,7 @@ import msgspec
 
 from adaptdrive.mqtt import commands, contract
 from adaptdrive.runtime.reports import CommandReport, Keep, State
-from adaptdrive.runtime.requests import Host, Request
+from adaptdrive.runtime.requests import Request
 from adaptdrive.util.errors import NOT_JSON, AdaptdriveError, RefusedError
 from adaptdrive.util.lines import Level, write_line
 
@@ -207,7 +207,7 @@ class Desk:
         shutting_down: Returns whether the daemon ends.
     """
 
-    host: Host
+    host: commands.Host
     memory: ReplyMemory
     present_state: Callable[[], State | None]
     wall: Callable[[], datetime]

@@ -16,9 +16,9 @@ from datetime import UTC, datetime
 from aiomqtt import Will
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.mqtt import connection, contract, desk, publisher, steady
+from adaptdrive.mqtt import commands, connection, contract, desk, publisher, steady
 from adaptdrive.mqtt.session import BrokerSession
-from adaptdrive.runtime import reports, requests
+from adaptdrive.runtime import reports
 from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.clock import repeat
 
@@ -42,6 +42,11 @@ _DEVICE_CLASSES = {
 _LAST_TRIP = (  # a state in Home Assistant has at most 255 characters
     "{{ value_json.last_trip.text[:255] if value_json.last_trip else 'none' }}"
 )
+_PROGRAM = (
+    "{% set it = value_json.program %}{{ (it.name ~ ' ' ~ it.status ~ ', step ' ~ it.step ~ ' of ' "
+    "~ it.steps ~ ': ' ~ it.does)[:255] if it else 'none' }}"
+)
+_LEFT = "{{ value_json.remaining.program_s if value_json.remaining else None }}"
 _ANSWER = (  # to a command of Home Assistant; that to another client's leaves it as it is
     "{% if (value_json.id | string).startswith('ha-') %}"
     "{{ 'none' if value_json.accepted else (value_json.verb ~ ': ' ~ value_json.reason)[:255] }}"
@@ -98,6 +103,9 @@ def _sensors(profile: contract.Profile, topics: contract.Topics) -> dict[str, co
             "kind of trip", topics.state, f"{{{{ value_json.trip_kind or '{contract.NO_TRIP}' }}}}"
         )
         | {"device_class": "enum", "options": [contract.NO_TRIP, *TripKind]},
+        "program": _shown("program", topics.state, _PROGRAM),
+        "program_left": _measured("time left of the program", drive, "remaining", "s")
+        | {"value_template": _LEFT, "device_class": "duration"},
         "refused": _shown("refused command", topics.reply, _ANSWER),
         "last_trip": _shown("last trip", topics.state, _LAST_TRIP)
         | {
@@ -253,7 +261,7 @@ class MqttService:
         self,
         profile: contract.Profile,
         settings: Mqtt,
-        host: requests.Host,
+        host: commands.Host,
         hub: reports.Hub,
         surroundings: OperatorLog,
     ) -> None:

@@ -5,12 +5,13 @@
  * @typedef {{value: number|null, std: number|null}} Estimate
  * @typedef {{time: string, kind: string, text: string, remedy: string}} Trip
  * @typedef {{shape: string, low: number|null, high: number|null, period_s: number|null}} Waveform
+ * @typedef {{name: string, step: number|null, steps: number|null, does: string, status: string, reason: string}} Program
  * @typedef {{
  *   state: string, mode: string, controller: string, reason: string, enabled: boolean,
  *   setpoint: number|null, waveform: Waveform|null, pole: number|null, trip: string|null, trip_kind: string,
  *   stop: string|null, time: string, since: string, last_trip: Trip|null, clock: string,
  *   output: {name: string, unit: string}, manipulated: {name: string, unit: string}, modes: string[],
- *   limits: Record<string, [number|null, number|null]>, reach: [number|null, number|null]
+ *   limits: Record<string, [number|null, number|null]>, reach: [number|null, number|null], program: Program|null
  * }} State
  * @typedef {{
  *   time: string, reference: number|null, output: number|null, boost_reference_V: number|null,
@@ -21,7 +22,7 @@
  *   time: string, output: number|null, boost_voltage_V: number|null, load_power_W: number|null,
  *   line_voltage_V: number|null, ticks: number|null, missed: number|null, held: number|null,
  *   age_s: number|null, lateness_us: {p99: number|null, max: number|null}, bus: Record<string, number|null>,
- *   sensors: Record<string, {up: boolean, detail: string}>, bridge: boolean
+ *   sensors: Record<string, {up: boolean, detail: string}>, bridge: boolean, left_s: number|null
  * }} Fast
  * @typedef {{time: string, kind: string, severity: string, detail: string, remedy: string, trip_kind: string}} DriveEvent
  * @typedef {{timeS: number, output: number|null, boost_voltage_V: number|null, reference: number|null, asked_V: number|null}} Point

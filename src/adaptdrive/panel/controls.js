@@ -3,6 +3,7 @@
 
 const Controls = (() => {
   const CONFIRM_S = 5;
+  const TURNS = [["Pause", "pause"], ["Resume", "resume"], ["Skip step", "skip"], ["End program", "stop"]];
 
   /** Ask, and show "sent", then the answer, after the control that asked.
    * @param {DriveView} drive @param {HTMLElement} answer @param {Element} place
@@ -104,6 +105,8 @@ const Controls = (() => {
         form("Start", (place) => send(place, "waveform", { shape: shape.value, low: low.input.valueAsNumber, high: high.input.valueAsNumber, period_s: period.input.valueAsNumber }),
           Dom.make("label", {}, "shape", shape), low.row, high.row, period.row),
         button("Hold the present value", (place) => send(place, "waveform", "off"))),
+      Dom.make("details", {}, Dom.make("summary", {}, "Program"),
+        Dom.make("div.row", {}, ...TURNS.map(([text, turn]) => button(text, (place) => send(place, "program", turn))))),
       Dom.make("details", {}, Dom.make("summary", {}, `${drive.given.name === "boost voltage" ? "Voltage" : drive.given.name} by hand, in mode manual`), form("Set", (place) => send(place, "voltage", voltage.input.valueAsNumber), voltage.row)),
       Dom.make("details", {}, Dom.make("summary", {}, "Pole"), form("Set", (place) => send(place, "pole", pole.input.valueAsNumber), pole.row)),
     );

@@ -58,6 +58,13 @@ const Dom = (() => {
     return `${(seconds / 3600).toFixed(1)} h`;
   }
 
+  /** Write a time that is left, to the second. @param {number|null|undefined} seconds */
+  function left(seconds) {
+    if (seconds == null) return "–";
+    const whole = Math.round(seconds), two = (/** @type {number} */ value) => String(Math.floor(value) % 60).padStart(2, "0");
+    return `${Math.floor(whole / 3600)}:${two(whole / 60)}:${two(whole)}`;
+  }
+
   /** Write a time of day, in the time zone of the reader. @param {number} timeS seconds since 1970 */
   function clock(timeS) {
     return Number.isFinite(timeS) ? new Date(1000 * timeS).toLocaleTimeString([], { hourCycle: "h23" }) : "–";
@@ -68,5 +75,5 @@ const Dom = (() => {
     return Number.isFinite(timeS) ? `${new Date(1000 * timeS).toLocaleDateString("sv")} ${clock(timeS)}` : "–";
   }
 
-  return { make, say, mark, number, measured, span, clock, date };
+  return { make, say, mark, number, measured, span, left, clock, date };
 })();

@@ -114,6 +114,7 @@ const DrivePage = (() => {
       ["reference", Dom.number(load?.reference ?? state?.setpoint, drive.unit), wave(state)],
       ["reachable", limitText(state?.reach, drive.unit).replace("limits ", "") || "–", ""],
       ["controller in force", state?.controller ?? "–", state?.reason || `asked for: ${state?.mode ?? "–"}`],
+      ...programRow(state?.program, fast?.left_s),
     ]);
     const { name: given, unit } = drive.given;
     drawRows(parts.rest, [
@@ -134,6 +135,14 @@ const DrivePage = (() => {
       ...Object.entries(fast?.sensors ?? {}).map(([name, one]) => [`sensors ${name}`, one.up ? "up" : "down", one.detail]),
       ["clock", state?.clock ?? "–", Number.isFinite(drive.clockS) ? Dom.clock(drive.clockS) : ""],
     ]);
+  }
+
+  /** The program that runs, or has run last. @param {Program|null|undefined} program @param {number|null|undefined} leftS */
+  function programRow(program, leftS) {
+    if (!program) return [];
+    const { name, step, steps, does, status, reason } = program;
+    const value = status === "ended" ? `ended: ${reason}` : `${Dom.left(leftS)} left`;
+    return [[`program ${name}`, value, `step ${step} of ${steps}: ${does}${status === "paused" ? ", paused" : ""}`]];
   }
 
   /** How far a quantity is from its trip; marked where less than a tenth of the limit is left.

@@ -40,6 +40,13 @@ const Payloads = (() => {
     return { shape: text(shape), low: number(low), high: number(high), period_s: number(period_s) };
   }
 
+  /** @param {unknown} value @returns {Program|null} */
+  function program(value) {
+    if (!isObject(value)) return null;
+    const { name, step, steps, does, status, reason } = value;
+    return { name: text(name), step: number(step), steps: number(steps), does: text(does), status: text(status), reason: text(reason) };
+  }
+
   /** @param {unknown} value @returns {Trip|null} */
   function trip(value) {
     if (!isObject(value)) return null;
@@ -57,7 +64,7 @@ const Payloads = (() => {
       output: { name: text(output.name) || "output", unit: text(output.unit) },
       manipulated: { name: text(manipulated.name) || "v_bst", unit: textOrNull(manipulated.unit) ?? "V" },
       modes: Array.isArray(raw.modes) ? raw.modes.slice(0, 10).map(text) : ["fixed", "adaptive"],
-      limits: map(raw.limits, range), reach: [number(reach.low), number(reach.high)],
+      limits: map(raw.limits, range), reach: [number(reach.low), number(reach.high)], program: program(raw.program),
     };
   }
 
@@ -80,7 +87,7 @@ const Payloads = (() => {
       load_power_W: number(raw.load_power_W), line_voltage_V: number(raw.line_voltage_V),
       age_s: number(raw.age_s), ticks: number(raw.ticks), missed: number(raw.missed), held: number(raw.held),
       lateness_us: { p99: number(lateness.p99), max: number(lateness.max) },
-      bus: map(raw.bus, number), bridge: fields(raw.command).bridge === true,
+      bus: map(raw.bus, number), bridge: fields(raw.command).bridge === true, left_s: number(fields(raw.remaining).program_s),
       sensors: map(raw.sensors, (one) => ({ up: fields(one).up === true, detail: text(fields(one).detail) })),
     };
   }

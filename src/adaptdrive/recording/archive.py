@@ -31,7 +31,8 @@ from adaptdrive.recording import (
 )
 from adaptdrive.recording.tables import NOTE_ROWS, table_schema, write_parquet
 from adaptdrive.runtime.health import HealthReport
-from adaptdrive.runtime.reports import BINS, MONOTONIC, Event, Severity, bin_of
+from adaptdrive.runtime.reports import MONOTONIC, Event, Severity
+from adaptdrive.runtime.timebase import BINS, bin_of
 from adaptdrive.safety.trips import ADVICES, kind_of, remedy
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
 from adaptdrive.util.files import alone

@@ -8,7 +8,7 @@ from dataclasses import fields
 from adaptdrive.control.signals import Decision, Mode
 from adaptdrive.devices.port import PortStatistics
 from adaptdrive.devices.sensors import SensorBus
-from adaptdrive.runtime import fast_loop, reports, state_machine, tick_support
+from adaptdrive.runtime import fast_loop, program, reports, requests, state_machine, tick_support
 from adaptdrive.safety.trips import Trip, TripKind
 
 _WARNING_S = 1.0
@@ -23,6 +23,7 @@ def state_report(
     stop: reports.StopWord,
     *,
     shutting_down: bool = False,
+    program: requests.ProgramReport | None = None,
 ) -> reports.StateReport:
     """Return state and mode of a drive, for operators.
 
@@ -31,16 +32,18 @@ def state_report(
         decision: The decision in force, None while there is none.
         stop: Confirmation of the stop by the drive.
         shutting_down: Whether the daemon ends.
+        program: The program that runs, or has run last.
     """
-    trip = machine.trip
+    trip, asked = machine.trip, machine.asked
     return reports.StateReport(
         state=machine.state,
         mode=machine.mode,
         controller=_source(machine.mode, decision),
         reason=machine.obstacle or _reason(machine, decision),
         enabled=machine.energised,
-        setpoint=machine.setpoint,
-        waveform=machine.waveform,
+        setpoint=asked.setpoint,
+        slope=None if asked.ramp is None else asked.ramp.slope,
+        waveform=asked.waveform,
         pole=machine.pole,
         trip=None if trip is None else trip.text,
         trip_kind=None if trip is None else trip.kind,
@@ -49,6 +52,7 @@ def state_report(
         voltage_V=machine.manual.target_V if machine.mode is Mode.MANUAL else None,
         reach=machine.reach,
         coasting=machine.coasting,
+        program=program,
     )
 
 
@@ -105,6 +109,7 @@ def drive_report(
     bus: PortStatistics,
     sensors: tuple[reports.SensorReport, ...],
     now_s: float,
+    remaining: requests.ProgramTimes | None = None,
 ) -> reports.DriveReport:
     """Measurement, command and the counts of the fast loop; its windows of time begin anew.
 
@@ -113,6 +118,7 @@ def drive_report(
         bus: Counts of the port; what the loop withheld from it is added to its own.
         sensors: State of the sensor buses.
         now_s: Monotonic time.
+        remaining: What is left of the program that runs.
     """
     return reports.DriveReport(
         measurement=fast.measurement,
@@ -133,6 +139,7 @@ def drive_report(
             "tick_us": fast.tick_time.histogram,
         },
         time_s=now_s,
+        remaining=remaining,
     )
 
 
@@ -290,7 +297,7 @@ class Announcer:
 
     def __init__(
         self,
-        machine: state_machine.Machine,
+        programs: program.Programs,
         fast: fast_loop.FastLoop,
         hub: reports.Hub,
         manager: tick_support.ServiceManager,
@@ -299,14 +306,13 @@ class Announcer:
         """Publish nothing yet.
 
         Args:
-            machine: The state machine.
+            programs: The state machine and its program.
             fast: The fast loop.
             hub: Receiver of reports.
             manager: The service manager.
             recorded: Returns whether all that is to be recorded is.
         """
-        self._machine = machine
-        self._fast = fast
+        self._machine, self._programs, self._fast = programs.machine, programs, fast
         self._hub = hub
         self._manager = manager
         self._recorded = recorded
@@ -314,7 +320,7 @@ class Announcer:
         self._warning, self._warned_s = "", -math.inf
         self.decision: Decision | None = None
         self.shutting_down = False
-        self.published = state_report(machine, None, fast.stopping.status)
+        self.published = state_report(self._machine, None, fast.stopping.status)
 
     @property
     def outdated(self) -> bool:
@@ -326,7 +332,9 @@ class Announcer:
         """Publish the state if it has changed, and the event of its change."""
         last = self.published
         ends, stop = self.shutting_down, self._fast.stopping.status
-        report = state_report(self._machine, self.decision, stop, shutting_down=ends)
+        report = state_report(
+            self._machine, self.decision, stop, shutting_down=ends, program=self._programs.report
+        )
         if report == last:
             return
         self.published = report
@@ -335,6 +343,8 @@ class Announcer:
             self._report_state(report, last)
         elif report.controller is not last.controller:
             self._report_controller(report, last)
+        if report.program != last.program:
+            self.publish_event("program", reports.Severity.INFO, str(report.program))
 
     def report_bus(self, *, up: bool, detail: str) -> None:
         """Publish the loss or the return of the bus."""

@@ -8,11 +8,12 @@ from collections.abc import Awaitable, Callable
 
 from adaptdrive.config import Configuration
 from adaptdrive.control.schedule import TwoRate
-from adaptdrive.control.signals import Decision, Reach, Snapshot
+from adaptdrive.control.signals import Decision, Mode, Reach, Snapshot
 from adaptdrive.devices.port import LAST_STOP_GAP_S, LAST_STOPS, Port
 from adaptdrive.runtime import (
     accounts,
     fast_loop,
+    program,
     reports,
     requests,
     state_machine,
@@ -79,6 +80,7 @@ class Daemon:
         self._hub = hub
         self._manager = manager
         self._machine = state_machine.Machine(machine)
+        self._programs = program.Programs(self._machine, machine)
         self._fast = fast_loop.FastLoop(port, controller, self._machine, fast, self)
         self._decide = controller.decide
         self._snapshots: asyncio.Queue[Snapshot] = asyncio.Queue(maxsize=_WAITING_AT_MOST)
@@ -87,7 +89,7 @@ class Daemon:
         self._failure: asyncio.Future[None] | None = None
         self._stopped_s = -math.inf
         self._refused: dict[str, accounts.RefusedShare] = {}
-        self._announcer = accounts.Announcer(self._machine, self._fast, hub, manager, recorded)
+        self._announcer = accounts.Announcer(self._programs, self._fast, hub, manager, recorded)
 
     async def run(self, stop: asyncio.Event) -> None:
         """Serve the drive until `stop` is set; leave it in its safe state, whatever happens.
@@ -219,14 +221,26 @@ class Daemon:
         starts = isinstance(request, requests.Enable | requests.Reset)  # no other one is refused
         cause = (fast.cause or self._refused_cause) if starts else None
         voltage_V = fast.command.boost_reference_V
-        self._machine.carry_out(request, fast.tick, output, cause, voltage_V)
+        self._programs.refuse_by_hand(request)
+        if isinstance(request, requests.RunProgram):
+            self._programs.carry_out(request, fast.tick, output)
+        else:
+            self._machine.carry_out(request, fast.tick, output, cause, voltage_V)
+        self._take_effect(mode)
+        return self._machine.state
+
+    def _take_effect(self, mode: Mode) -> None:
+        """Send and publish what the state machine has become between two ticks.
+
+        Args:
+            mode: Its mode before.
+        """
         if self._machine.commanded_off:
             self._fast.send_safe()
         if self._machine.mode is not mode:
             detail = f"mode {mode} to {self._machine.mode}"
             self._announcer.publish_event("mode", reports.Severity.INFO, detail)
         self._announcer.publish_state()
-        return self._machine.state
 
     async def _reload(self, request: requests.Reload) -> reports.State:
         """Have another run follow this one, which ends; nothing energises the drive meanwhile."""
@@ -268,10 +282,18 @@ class Daemon:
     def ticked(self, report: reports.TickReport) -> None:
         """Publish a tick that is complete."""
         self._hub.publish(report)
+        self._progress(report.measurement.output)
         if self._announcer.outdated:
             self._announcer.publish_state()
         if self._support is not None:
             self._support.ticked(report, idle=not self._announcer.published.enabled)
+
+    def _progress(self, output: float) -> None:
+        """Go on with a ramp or a program, between two ticks."""
+        mode, tick = self._machine.mode, self._fast.tick
+        arrived = self._machine.progress(tick)
+        if self._programs.progress(tick, output) or arrived:
+            self._take_effect(mode)
 
     def snapshot_taken(self, snapshot: Snapshot) -> bool:
         """Queue a snapshot for the slow loop; False when that has fallen hopelessly behind."""
@@ -323,7 +345,11 @@ class Daemon:
         while True:
             await asyncio.sleep(1.0 / self._configuration.mqtt.telemetry_Hz)
             report = accounts.drive_report(
-                self._fast, self._port.statistics, self._sensors(), self._clock()
+                self._fast,
+                self._port.statistics,
+                self._sensors(),
+                self._clock(),
+                self._programs.remaining(self._fast.tick),
             )
             self._hub.publish(report)
             self._watch_refusals(report)

@@ -37,32 +37,32 @@ class TimeWindow:
 
     def __init__(self) -> None:
         self._times_us: deque[float] = deque(maxlen=_LONGEST)
-        self._counts = [0] * reports.BINS
+        self._counts = [0] * timebase.BINS
 
     @property
     def histogram(self) -> tuple[int, ...]:
         """Counts of all times so far, by bin."""
         counts = self._counts.copy()
         for time_us in self._times_us:
-            counts[reports.bin_of(time_us)] += 1
+            counts[timebase.bin_of(time_us)] += 1
         return tuple(counts)
 
     def add(self, time_us: float) -> None:
         """Take in one time in microseconds; it is counted later, outside the tick."""
         times = self._times_us
         if len(times) == _LONGEST:
-            self._counts[reports.bin_of(times[0])] += 1
+            self._counts[timebase.bin_of(times[0])] += 1
         times.append(time_us)
 
-    def take(self) -> reports.Quantiles:
+    def take(self) -> timebase.Quantiles:
         """Quantiles of the times since the last call; NaN when there were none."""
         self._counts = list(self.histogram)
         times = sorted(self._times_us)
         self._times_us.clear()
         if not times:
-            return reports.NO_TIMES
+            return timebase.NO_TIMES
         last = len(times) - 1
-        return reports.Quantiles(times[round(0.50 * last)], times[round(0.99 * last)], times[last])
+        return timebase.Quantiles(times[round(0.50 * last)], times[round(0.99 * last)], times[last])
 
 
 class FastLoop:

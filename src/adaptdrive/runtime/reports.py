@@ -15,6 +15,8 @@ from typing import Annotated, Any, Generic, TypeVar
 from adaptdrive.control import signals
 from adaptdrive.control.signals import UNKNOWN, Reach
 from adaptdrive.runtime.health import HealthReport
+from adaptdrive.runtime.requests import ProgramReport, ProgramTimes
+from adaptdrive.runtime.timebase import NO_TIMES, Quantiles
 from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import escaped
 from adaptdrive.util.quantity import Quantity, columns_of
@@ -63,6 +65,7 @@ class StateReport:
         reason: Why `controller` differs from `mode`, or an empty string.
         enabled: Whether the drive has been enabled.
         setpoint: Constant set-point in the unit of the output; the last one while a waveform runs.
+        slope: Change of the reference in one second on its way there; None once it is there.
         waveform: The running waveform, None while the set-point is constant.
         pole: Closed-loop pole asked for.
         trip: Text of the latched trip, None when not tripped.
@@ -72,6 +75,7 @@ class StateReport:
         reach: What V_c can hold: lowest and highest output at rest, NaN while not known.
         coasting: Whether the enabled drive is held off until a set-point within reach.
         trip_kind: Kind of the latched trip, None when not tripped.
+        program: The program that runs, or has run last; None before the first.
     """
 
     state: State
@@ -89,6 +93,8 @@ class StateReport:
     reach: Reach = UNKNOWN
     coasting: bool = False
     trip_kind: TripKind | None = None
+    slope: float | None = None
+    program: ProgramReport | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,32 +113,6 @@ class LoadReport:
         float,
         Quantity("s", "monotonic time at which the decision was taken over", MONOTONIC),
     ] = math.nan
-
-
-@dataclass(frozen=True, slots=True)
-class Quantiles:
-    """Median, 99th percentile and maximum of a time, in microseconds."""
-
-    p50: float
-    p99: float
-    max: float
-
-
-NO_TIMES = Quantiles(math.nan, math.nan, math.nan)
-
-BINS = 17
-"""Bins of a histogram of times: powers of two from below 1 us to 32,768 us and more.
-
-One late tick in a night is seen in it when every report of that minute has long been overwritten.
-"""
-
-_LARGEST_US = 1e9
-"""Longest time that is counted as it is, 1,000 s, so that infinite ones have a bin."""
-
-
-def bin_of(time_us: float) -> int:
-    """Return the bin of a time in microseconds; anything below 1 us is in the first."""
-    return min(int(min(max(0.0, time_us), _LARGEST_US)).bit_length(), BINS - 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +170,7 @@ class DriveReport:
         limited: Commands that were held to a limit of `[drive.limits]` since the start.
         histograms: Counts of all lateness, turn-around and tick times since the start, by bin.
         time_s: Monotonic time of the report.
+        remaining: What is left of the program that runs, None without one.
     """
 
     measurement: signals.Measurement | None
@@ -206,11 +187,12 @@ class DriveReport:
     limited: int = 0
     histograms: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     time_s: float = math.nan
+    remaining: ProgramTimes | None = None
 
 
 EVENT_KINDS = (
-    *("trip", "state", "controller", "mode", "fallback", "complete", "stop", "refused", "bus"),
-    *("warning", "latency", "realtime", "checkpoint", "recording", "state directory"),
+    *("trip", "state", "controller", "mode", "fallback", "program", "complete", "stop", "refused"),
+    *("bus", "warning", "latency", "realtime", "checkpoint", "recording", "state directory"),
     *("broker", "command", "outbox", "configuration", "health"),
 )
 """Kinds of events: of the drive, of the daemon's machine, and of the operators' side."""

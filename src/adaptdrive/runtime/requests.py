@@ -1,15 +1,150 @@
-"""Requests of an operator to a running drive: the registry of all commands.
+"""Requests of an operator to a running drive: the registry of all commands, and programs.
 
 A request is one class: its verb in the topic, and its fields as they stand in the payload. The
 state machine carries it out. `REQUESTS` lists them; messages and command line are made of it.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from enum import StrEnum
+from typing import Annotated, ClassVar, Literal
 
-from adaptdrive.control.signals import Mode, Waveform
-from adaptdrive.runtime.reports import State
-from adaptdrive.safety.trips import Trip
+import msgspec
+
+from adaptdrive.control.signals import Mode, Shape, Waveform
+
+# Programs of set-points, as they come in a payload and stand in a file.
+
+
+class _Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="do"):
+    """A step of a program; `do` names its kind."""
+
+
+class RampTo(_Step, frozen=True, tag="ramp"):
+    """Go to a set-point.
+
+    Attributes:
+        to: The set-point.
+        slope: Change of the reference in one second; None for `load.reference_slope`.
+    """
+
+    to: float
+    slope: float | None = None
+
+
+class HoldFor(_Step, frozen=True, tag="hold"):
+    """Hold the present reference for a time in s."""
+
+    for_s: float
+
+
+class Settle(_Step, frozen=True, tag="settle"):
+    """Hold the present reference until each reading has been near it.
+
+    Attributes:
+        within: Largest distance, in the unit of the output.
+        for_s: For so long without a break.
+    """
+
+    within: float
+    for_s: float
+
+
+class WaveFor(_Step, frozen=True, tag="waveform"):
+    """Follow a waveform for a time; its fields are those of a `Waveform`."""
+
+    shape: Shape
+    low: float
+    high: float
+    period_s: float
+    for_s: float
+
+    @property
+    def waveform(self) -> Waveform:
+        """The set-point."""
+        return Waveform(self.shape, self.low, self.high, self.period_s)
+
+
+class Choose(_Step, frozen=True, tag="mode"):
+    """Choose the controller."""
+
+    mode: Literal["fixed", "adaptive"]
+
+
+Step = RampTo | HoldFor | Settle | WaveFor | Choose
+
+
+class End(StrEnum):
+    """What follows the last step: the reference stays, the load coasts, or the safe state."""
+
+    HOLD = "hold"
+    REST = "rest"
+    DISABLE = "disable"
+
+
+class Program(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Steps that the reference follows one after another.
+
+    Attributes:
+        name: Its name for people.
+        steps: At most 100.
+        end: What follows them.
+    """
+
+    name: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+    steps: Annotated[tuple[Step, ...], msgspec.Meta(min_length=1, max_length=100)]
+    end: End = End.HOLD
+
+
+class Turn(StrEnum):
+    """What becomes of the program that runs."""
+
+    PAUSE = "pause"
+    RESUME = "resume"
+    SKIP = "skip"
+    STOP = "stop"
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramReport:
+    """The program that runs, or has run last.
+
+    Attributes:
+        name: Its name.
+        step: The present step, from 1.
+        steps: Steps that it has.
+        does: What this step does.
+        status: Whether it goes on.
+        reason: Why it has ended; empty before.
+        end: What follows its last step: hold, rest or disable.
+    """
+
+    name: str
+    step: int
+    steps: int
+    does: str
+    status: Literal["running", "paused", "ended"]
+    reason: str
+    end: str
+
+    def __str__(self) -> str:
+        status = f"{self.status}: {self.reason}" if self.reason else self.status
+        return f"{self.name} {status}, step {self.step} of {self.steps}: {self.does}"
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramTimes:
+    """What is left of the program that runs; a step that waits for the output may take longer.
+
+    Attributes:
+        step_s: Least time to the end of the present step.
+        program_s: The same to the end of the program.
+    """
+
+    step_s: float
+    program_s: float
+
+
+# The requests.
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +160,17 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class SetSetpoint(Request):
-    """Hold a constant set-point, in the unit of the output; stops a waveform."""
+    """Hold a constant set-point, in the unit of the output; stops a waveform.
+
+    Attributes:
+        value: The set-point.
+        slope: Change of the reference in one second on its way there; None for
+            `load.reference_slope`.
+    """
 
     verb = "setpoint"
     value: float
+    slope: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +185,20 @@ class SetWaveform(Request):
     verb = "waveform"
     value: Waveform | None
     preview: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class RunProgram(Request):
+    """Run a program of set-points; pause, resume or stop it, or skip a step.
+
+    Attributes:
+        value: The program, or what becomes of the one that runs.
+        check: Whether a program is checked only.
+    """
+
+    verb = "program"
+    value: Program | Turn
+    check: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +270,7 @@ REQUESTS: dict[str, type[Request]] = {
     for request in (
         SetSetpoint,
         SetWaveform,
+        RunProgram,
         SetPole,
         SetMode,
         SetVoltage,
@@ -124,29 +281,3 @@ REQUESTS: dict[str, type[Request]] = {
     )
 }
 """All requests by verb, in the order of the command line's help."""
-
-
-class Host(Protocol):
-    """The running drive, as far as operators are concerned."""
-
-    async def execute(self, request: Request) -> State:
-        """Carry out a request between two ticks.
-
-        Returns:
-            The state after it.
-
-        Raises:
-            RefusedError: The request cannot be carried out; nothing was changed.
-        """
-
-    def trip(self, cause: Trip) -> None:
-        """Trip at once for a cause outside the drive; the first cause stays until `reset`."""
-
-    def stop(self) -> State:
-        """Bring the drive into its safe state at once, in every state and at any time.
-
-        It neither waits nor refuses.
-
-        Returns:
-            The state after it.
-        """

@@ -1,13 +1,21 @@
-"""Settings of the runtime of one drive: limits of requests, V_c by hand, the loop's interface."""
+"""Settings of the runtime of one drive: limits and values of requests, the loop's interface."""
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
 
 from adaptdrive.config.load import LoadSection
 from adaptdrive.config.root import DriveSection
-from adaptdrive.control.signals import UNKNOWN, Decision, Reach, Snapshot
+from adaptdrive.control.signals import (
+    UNKNOWN,
+    Decision,
+    MovingReference,
+    Ramp,
+    Reach,
+    Snapshot,
+    Waveform,
+)
 from adaptdrive.runtime import reports
 from adaptdrive.safety import plausibility
 from adaptdrive.safety.interlocks import Limits
@@ -58,6 +66,83 @@ class ManualVoltage:
         return Trip(TripKind.OPERATOR_LOST, text)
 
 
+# The set-point as it was asked for.
+
+
+@dataclass(frozen=True, slots=True)
+class AskedReference:
+    """A set-point, and how the reference goes there.
+
+    Attributes:
+        setpoint: Constant set-point, or the end of a ramp; the last one while a waveform runs.
+        moving: Running waveform or ramp, None while the reference is constant.
+        previews: Whether the controller may know what comes.
+    """
+
+    setpoint: float
+    moving: MovingReference | None = None
+    previews: bool = True
+
+    @property
+    def waveform(self) -> Waveform | None:
+        """The running waveform, None while there is none."""
+        form = None if self.moving is None else self.moving.form
+        return form if isinstance(form, Waveform) else None
+
+    @property
+    def ramp(self) -> Ramp | None:
+        """The way to the set-point, None where there is none."""
+        form = None if self.moving is None else self.moving.form
+        return form if isinstance(form, Ramp) else None
+
+    @property
+    def known(self) -> MovingReference | None:
+        """What the controller knows to come, None while the reference is constant."""
+        return self.moving if self.previews else None
+
+    def value(self, tick: int, tick_s: float) -> float:
+        """Return the reference at a tick.
+
+        Args:
+            tick: The tick.
+            tick_s: Nominal time from tick to tick.
+        """
+        return self.setpoint if self.moving is None else self.moving.value(tick, tick_s)
+
+    def is_within(self, reach: Reach) -> bool:
+        """Return whether V_c can hold every set-point that is asked for."""
+        wave = self.waveform
+        if wave is None:
+            return can_hold(reach, self.setpoint)
+        return can_hold(reach, wave.low) and can_hold(reach, wave.high)
+
+    def begun(self, tick: int) -> Self:
+        """Return the same with a ramp that begins at a tick: nothing could follow it before."""
+        return self if self.ramp is None else replace(self, moving=MovingReference(self.ramp, tick))
+
+    def later(self, ticks: int) -> Self:
+        """Return the same as many ticks later."""
+        if self.moving is None:
+            return self
+        begin_tick = self.moving.begin_tick + ticks
+        return replace(self, moving=MovingReference(self.moving.form, begin_tick))
+
+
+def on_the_way(start: float, setpoint: float, slope: float, tick: int) -> AskedReference:
+    """Return a set-point with the ramp to it; with a slope that is infinite in one step.
+
+    Args:
+        start: Where the reference is.
+        setpoint: Where it goes.
+        slope: Its change in one second.
+        tick: Tick at which it leaves.
+    """
+    end = setpoint + 0.0  # without the sign of -0
+    if slope == math.inf or start == end:
+        return AskedReference(end)
+    return AskedReference(end, MovingReference(Ramp(start, end, slope), tick))
+
+
 # Limits of an operator's requests, and the refusals of values outside them.
 
 _LONGEST_HOLD_S = 86_400.0
@@ -72,12 +157,23 @@ def can_hold(reach: Reach, value: float) -> bool:
     return not (value < reach.low or value > reach.high)
 
 
+def coasts_at(setpoint: float, reach: Reach) -> bool:
+    """Return whether a set-point lets the load coast: 0 or less, and V_c cannot hold it."""
+    return setpoint <= 0.0 and not setpoint >= reach.low  # which may not be known
+
+
 def _require(  # noqa: PLR0913, PLR0917 - the parts of one sentence
     what: str, value: float, low: float, high: float, unit: str = "", why: str = ""
 ) -> None:
     """Refuse a value that is not finite, or outside of a range; an end that is NaN is none."""
     if not math.isfinite(value) or value < low or value > high:
         raise RefusedError(f"{what} = {value:.12g}{unit} is outside {low:g}…{high:g}{unit}{why}")
+
+
+def require_positive(what: str, value: float | None) -> None:
+    """Refuse a value that is not finite or not above 0; one that is left out is None."""
+    if value is not None and not (math.isfinite(value) and value > 0.0):
+        raise RefusedError(f"{what} = {value:.12g} is not a finite number above 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +237,33 @@ class MachineLimits:
         if not can_hold(reach, value):
             unit, why = f" {self.load.output_unit}", f", which {self.drive.given.symbol} can hold"
             _require(what, value, reach.low, reach.high, unit, why)
+
+    def require_setpoint(self, what: str, value: float, reach: Reach) -> None:
+        """Refuse a set-point that is not allowed, or that V_c cannot hold and is no rest.
+
+        Arguments as of `require_reach`.
+        """
+        self.require_reference(what, value)
+        if not coasts_at(value, reach):
+            self.require_reach(what, value, reach)
+
+    def require_waveform(self, what: str, waveform: Waveform, reach: Reach) -> None:
+        """Refuse a waveform that is not allowed, or that V_c cannot follow.
+
+        Arguments as of `require_reach`.
+        """
+        for name, value in (("low", waveform.low), ("high", waveform.high)):
+            self.require_reference(f"{what} {name}", value)
+            self.require_reach(f"{what} {name}", value, reach)
+        self.require_period(f"{what} period_s", waveform.period_s)
+
+    def slope(self, asked: float | None) -> float:
+        """Return the slope of the way to a set-point, in its unit per second, infinite for a step.
+
+        Args:
+            asked: What its command asks for, None for the configured one.
+        """
+        return (self.load.reference_slope or math.inf) if asked is None else asked
 
     def require_period(self, what: str, value: float) -> None:
         """Refuse a period of a waveform, in s, that is too short."""

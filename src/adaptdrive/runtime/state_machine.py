@@ -12,10 +12,16 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from adaptdrive.control.signals import KnownWaveform, Mode, Order, Reach, Stage, Waveform
+from adaptdrive.control.signals import Mode, MovingReference, Order, Stage, Waveform
 from adaptdrive.runtime import requests
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.settings import MachineLimits, can_hold
+from adaptdrive.runtime.settings import (
+    AskedReference,
+    MachineLimits,
+    coasts_at,
+    on_the_way,
+    require_positive,
+)
 from adaptdrive.safety.trips import Trip
 from adaptdrive.util.errors import RefusedError
 
@@ -35,8 +41,7 @@ class Machine:
         state: Where the machine is.
         mode: Controller asked for, or manual.
         manual: V_c as the operator sets it.
-        setpoint: Constant set-point.
-        waveform: Running waveform, None while the set-point is constant.
+        asked: Set-point, and the way there.
         pole: Closed-loop pole asked for.
         trip: Cause of the latched trip.
         stopped: Whether the drive has confirmed that it is off.
@@ -48,8 +53,7 @@ class Machine:
         self.state = State.STANDBY
         self.mode = Mode.FIXED
         self.manual = self._limits.held(limits.rest_V, 0)
-        self.setpoint = limits.load.reference_min
-        self.waveform: Waveform | None = None
+        self.asked = AskedReference(limits.load.reference_min)
         self.pole = limits.load.pole
         self.trip: Trip | None = None
         self.stopped = False
@@ -58,8 +62,6 @@ class Machine:
         self._since_tick = 0
         self._precharging = False
         self._awaited_s = math.inf
-        self._waveform_tick = 0
-        self._known: KnownWaveform | None = None
         self._order: Order | None = None
         self._parts: tuple[object, ...] | None = None
 
@@ -90,18 +92,12 @@ class Machine:
             known = f" within {within}" if reach.is_known else ""
             awaited = given.by_hand if self.mode is Mode.MANUAL else f"set-point{known}"
             return f"coasting with the bridge off until a {awaited}"
-        if self.mode is Mode.MANUAL or self._is_within(reach):
+        if self.mode is Mode.MANUAL or self.asked.is_within(reach):
             return ""
-        if self.waveform is not None:
+        if self.asked.waveform is not None:
             return ""
-        outside = f"set-point {self.setpoint:g} {unit} is outside {within}"
+        outside = f"set-point {self.asked.setpoint:g} {unit} is outside {within}"
         return f"{outside}, which {given.symbol} can hold"
-
-    def _is_within(self, reach: Reach) -> bool:
-        """Say whether V_c can hold every set-point that is asked for."""
-        if self.waveform is None:
-            return can_hold(reach, self.setpoint)
-        return can_hold(reach, self.waveform.low) and can_hold(reach, self.waveform.high)
 
     @property
     def stage(self) -> Stage:
@@ -113,14 +109,11 @@ class Machine:
     @property
     def steady(self) -> bool:
         """True while the set-point is constant and a controller follows it."""
-        return self.waveform is None and self.mode is not _MANUAL
+        return self.asked.moving is None and self.mode is not _MANUAL
 
     def reference(self, tick: int) -> float:
         """The set-point at a tick."""
-        if self.waveform is None:
-            return self.setpoint
-        passed_s = (tick - self._waveform_tick) * self._limits.drive.half_cycle_s
-        return self.waveform.value(passed_s)
+        return self.asked.value(tick, self._limits.drive.half_cycle_s)
 
     def manual_V(self, tick: int) -> float:
         """V_c asked for at a tick in mode manual, 0 in every other."""
@@ -128,8 +121,7 @@ class Machine:
 
     def order(self, tick: int) -> Order:
         """The order to the controller at a tick; a new object only when something changed."""
-        known = None if self.waveform is None else self._known
-        reference, manual_V = self.reference(tick), self.manual_V(tick)
+        reference, manual_V, known = self.reference(tick), self.manual_V(tick), self.asked.known
         parts = (self.stage, reference, self.mode, self.pole, manual_V, self.steady, known)
         if self._order is None or parts != self._parts:
             self._parts, self._order = parts, Order(*parts)
@@ -156,8 +148,8 @@ class Machine:
             RefusedError: It cannot be done; nothing was changed.
         """
         match request:
-            case requests.SetSetpoint(value):
-                self._set_setpoint(value)
+            case requests.SetSetpoint(value, slope):
+                self._set_setpoint(value, slope, tick, output)
             case requests.SetWaveform(waveform, preview):
                 self._set_waveform(waveform, tick, preview=preview)
             case requests.SetMode(mode):
@@ -184,12 +176,12 @@ class Machine:
         if mode is self.mode:
             return
         if Mode.MANUAL in (mode, self.mode):
-            self.waveform = None
+            self._hold(self.asked.setpoint)
         if mode is Mode.MANUAL:
             self.manual = self._limits.held(voltage_V, tick)
         elif self.mode is Mode.MANUAL and self.energised:
             held = self._limits.nearest_reference(output)
-            self.setpoint = held if self._coasts else self.reach.nearest(held)
+            self._hold(held if self._coasts else self.reach.nearest(held))
         self.mode = mode
 
     def _set_voltage(self, value: float, hold_s: float | None, tick: int) -> None:
@@ -210,35 +202,50 @@ class Machine:
         if self.coasting:
             self._start()
 
-    def _set_setpoint(self, value: float) -> None:
-        """Hold a constant set-point; stop a waveform."""
-        self._require_loop("setpoint")
-        self._limits.require_reference("setpoint", value)
-        coasts = value <= 0.0 and not value >= self.reach.low  # which may not be known
-        if not coasts:
-            self._limits.require_reach("setpoint", value, self.reach)
-        self.setpoint = value + 0.0  # without the sign of -0
-        self.waveform = None
-        if coasts:
-            self._coast()
+    def _set_setpoint(self, value: float, slope: float | None, tick: int, output: float) -> None:
+        """Go to a constant set-point; stop a waveform. A drive that coasts begins at its output."""
+        self.require_loop("setpoint")
+        self._limits.require_setpoint("setpoint", value, self.reach)
+        require_positive("slope", slope)
+        coasts = coasts_at(value, self.reach)
+        slope = math.inf if coasts and self.coasting else self._limits.slope(slope)
+        start = self.reach.nearest(output) if self.coasting else self.reference(tick)
+        self.asked = on_the_way(start, value, slope, tick)
+        if coasts and self.asked.ramp is None:
+            self.coast()
         elif self.coasting:
             self._start()
 
+    def progress(self, tick: int) -> bool:
+        """End a ramp whose end is reached, between two ticks; return whether it has ended.
+
+        One that lets the load coast ends where V_c cannot hold it any more.
+
+        Args:
+            tick: Present tick.
+        """
+        ramp = self.asked.ramp
+        if ramp is None or self.state is not _RUNNING:
+            return False
+        reference, coasts = self.reference(tick), coasts_at(ramp.end, self.reach)
+        if reference != ramp.end and not (coasts and reference < self.reach.low):
+            return False
+        self._hold(ramp.end)
+        if coasts:
+            self.coast()
+        return True
+
     def _set_waveform(self, waveform: Waveform | None, tick: int, *, preview: bool) -> None:
         """Follow a waveform from a tick on; None holds the present set-point."""
-        self._require_loop("waveform")
+        self.require_loop("waveform")
         if waveform is None:
-            self.setpoint = self.reference(tick)
+            self._hold(self.reference(tick))
         else:
-            for name, value in (("low", waveform.low), ("high", waveform.high)):
-                self._limits.require_reference(f"waveform {name}", value)
-                self._limits.require_reach(f"waveform {name}", value, self.reach)
-            self._limits.require_period("waveform period_s", waveform.period_s)
-            self._waveform_tick = tick
-            self._known = KnownWaveform(waveform, tick) if preview else None
+            self._limits.require_waveform("waveform", waveform, self.reach)
+            moving = MovingReference(waveform, tick)
+            self.asked = AskedReference(self.asked.setpoint, moving, preview)
             if self.coasting:
                 self._start()
-        self.waveform = waveform
 
     def enable(self, output: float, cause: Trip | None, tick: int) -> None:
         """Start the drive, with the present output as set-point; no effect while it is energised.
@@ -266,19 +273,18 @@ class Machine:
         if cause is not None:
             raise RefusedError(cause.text, cause.kind)
         limits, known = self._limits, self.reach.is_known
-        self.waveform = None
         self.manual = limits.held(limits.rest_V, tick)
         below = known and output < max(limits.load.reference_min, self.reach.low)
         at_rest = max(output, min(limits.load.reference_min, 0.0))
-        self.setpoint = at_rest if below else limits.nearest_reference(output)
+        self._hold(at_rest if below else limits.nearest_reference(output))
         if below or self.mode is Mode.MANUAL or not known:
-            self._coast()
+            self.coast()
         else:
             self._start()
 
     def disable(self) -> None:
         """Stop the drive, in every state."""
-        self.waveform = None
+        self._hold(self.asked.setpoint)
         if self.energised:
             self.state = State.STOPPING
 
@@ -331,6 +337,7 @@ class Machine:
         elif self._limits.is_reached(boost_voltage_V):
             self.state = State.RUNNING
             self.manual = replace(self.manual, since_tick=tick)  # nobody could renew it meanwhile
+            self.asked = self.asked.begun(tick)
         elif tick - self._since_tick > self._limits.starting_ticks:
             self.latch(self._limits.precharge_cause(boost_voltage_V))
 
@@ -366,19 +373,23 @@ class Machine:
             self.state = State.TRIPPED
             self.trip = cause
 
+    def _hold(self, setpoint: float) -> None:
+        """Ask for a constant set-point, at once."""
+        self.asked = AskedReference(setpoint)
+
     def _start(self) -> None:
         """Energise the drive, from the precharge on."""
         self.state, self.stopped = State.STARTING, False
         self._precharging = self._coasts = False
         self._awaited_s = math.inf
 
-    def _coast(self) -> None:
+    def coast(self) -> None:
         """Hold the drive off until a set-point within reach."""
         self.state, self.stopped = State.RUNNING, False
         self._coasts = True
 
-    def _require_loop(self, what: str) -> None:
-        """Refuse a set-point that nothing follows."""
+    def require_loop(self, what: str) -> None:
+        """Refuse a set-point that nothing follows; `what` is its name in the refusal."""
         if not self.energised:
             raise RefusedError(f"{what} needs an enabled drive; state is {self.state}")
         if self.mode is Mode.MANUAL:

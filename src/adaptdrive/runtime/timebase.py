@@ -1,4 +1,4 @@
-"""The time base: which half line cycle a frame belongs to, and how long one lasts.
+"""The time base: which half line cycle a frame belongs to, how long one lasts, and ticks take.
 
 A tick is identified by the drive's own counter, unwrapped. A counter that jumps by more or less
 than time allows (the drive was restarted, or its frames were lost for long) is anchored anew: its
@@ -12,7 +12,9 @@ A drive that is polled sends no frames by itself: its readings are a fixed numbe
 apart, by the clock that polls it, and its ticks are multiples of that number.
 """
 
+import math
 from collections import deque
+from dataclasses import dataclass
 
 from adaptdrive.safety.frames import SLACK_TICKS, CounterWatch, FrameRate
 
@@ -129,3 +131,32 @@ class HalfCycles:
             if abs(period_s / self._nominal_s - 1.0) <= _PERIOD_TOLERANCE:
                 self.tick_period_s = period_s
         self._marks.append((tick, arrival_s))
+
+
+# Times that ticks take, and their histograms.
+
+
+@dataclass(frozen=True, slots=True)
+class Quantiles:
+    """Median, 99th percentile and maximum of a time, in microseconds."""
+
+    p50: float
+    p99: float
+    max: float
+
+
+NO_TIMES = Quantiles(math.nan, math.nan, math.nan)
+
+BINS = 17
+"""Bins of a histogram of times: powers of two from below 1 us to 32,768 us and more.
+
+One late tick in a night is seen in it when every report of that minute has long been overwritten.
+"""
+
+_LARGEST_US = 1e9
+"""Longest time that is counted as it is, 1,000 s, so that infinite ones have a bin."""
+
+
+def bin_of(time_us: float) -> int:
+    """Return the bin of a time in microseconds; anything below 1 us is in the first."""
+    return min(int(min(max(0.0, time_us), _LARGEST_US)).bit_length(), BINS - 1)

@@ -17,6 +17,7 @@ from adaptdrive.mqtt.commands import (
     number,
     part,
     printable,
+    program_text,
     quantity_and_unit,
     unconfirmed_stop,
 )
@@ -176,6 +177,8 @@ def _header(record: WatchRecord, width: int) -> Iterator[Text]:
     elif record.availability == "unknown" and not record.problem:
         line.append("nothing heard of this drive; see adaptdrive list")
     yield line
+    if program := program_text(state, record.fast):
+        yield Text(f" program {program}")
     if state.get("trip"):
         remedy = part(state, "last_trip").get("remedy") or "see the manual"
         kind = f" [{printable(state['trip_kind'])}]" if state.get("trip_kind") else ""

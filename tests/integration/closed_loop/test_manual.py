@@ -96,7 +96,7 @@ def test_the_transfer_from_manual_has_no_bump(
     wait(drive, wait_s)
     present_V, present = in_force_V(drive), drive.world.true_output
     drive.carry_out(SetMode(mode))
-    assert drive.machine.setpoint == pytest.approx(present, rel=1e-3)
+    assert drive.machine.asked.setpoint == pytest.approx(present, rel=1e-3)
     voltages, outputs = courses(drive, wait_s)
     assert max(abs(voltage - present_V) for voltage in voltages) < limit_V
     assert max(abs(output - present) for output in outputs) < 0.01 * present

@@ -60,14 +60,14 @@ def test_a_waveform_at_the_edge_of_the_voltage_is_followed_better_by_half() -> N
 
 def test_what_the_controller_knows_to_come_does_come() -> None:
     drive = run(Shape.SQUARE, True)
-    waved = [one for one in drive.kept.ticks if one.order.waveform]  # another test may go on
+    waved = [one for one in drive.kept.ticks if one.order.moving]  # another test may go on
     tick_s = 1.0 / 120.0
     for earlier in (0, 1, 119, 120, 7000):
         shown = waved[-1 - earlier]
-        known = waved[-1].order.waveform
+        known = waved[-1].order.moving
         assert known is not None
         elapsed_s = (shown.measurement.tick - known.begin_tick) * tick_s
-        assert known.waveform.value(elapsed_s) == shown.order.reference
+        assert known.form.value(elapsed_s) == shown.order.reference
 
 
 def test_a_set_point_ends_what_the_controller_knows_to_come() -> None:
@@ -75,7 +75,7 @@ def test_a_set_point_ends_what_the_controller_knows_to_come() -> None:
     count = len(drive.kept.ticks)
     drive.carry_out(SetSetpoint(3.0))
     wait(drive, 2.0)
-    assert {one.order.waveform for one in drive.kept.ticks[count + 1 :]} == {None}
+    assert {one.order.moving for one in drive.kept.ticks[count + 1 :]} == {None}
 
 
 def test_it_is_replayed_bit_for_bit(tmp_path: Path) -> None:
@@ -87,3 +87,25 @@ def test_it_is_replayed_bit_for_bit(tmp_path: Path) -> None:
     assert report.differing_decisions == 0
     assert report.slow_steps == len(drive.kept.slow) > 2.5 * CYCLE_S
     assert math.isfinite(drive.kept.slow[-1].decision.boost_reference_V)
+
+
+def test_a_ramp_is_known_ahead_and_replayed_bit_for_bit(tmp_path: Path) -> None:
+    own = configuration()
+    world = World(Motor(MotorParameters()), WorldParameters(seed=3))
+    world.settle(world.boost_voltage_for(LOW))
+    drive = RecordedDrive(own, world)
+    wait(drive, 5.0)
+    drive.carry_out(SetSetpoint(HIGH, 0.1))
+    wait(drive, 40.0)
+    slow, ticks = drive.kept.slow, own.ticks_per_period
+    later = {one.measurement.tick: one.order.reference for one in drive.kept.ticks}
+    ramped = [one.snapshot for one in slow if one.snapshot.upcoming]
+    assert len(ramped) == pytest.approx((HIGH - LOW) / 0.1 / own.load.period_s, abs=1.0)
+    for shown in ramped:
+        known = [later.get(shown.tick + i * ticks) for i in range(1, len(shown.upcoming) + 1)]
+        came = [one for one in known if one is not None]
+        assert came == list(shown.upcoming[: len(came)])
+    assert drive.reference == HIGH
+    report = replay(drive.session(tmp_path), Controller(controller_settings(own), build_load(own)))
+    assert report.exact
+    assert report.differing_decisions == 0

@@ -135,7 +135,7 @@ class Course:
     def step_setpoint(self) -> None:
         """Ask for another set-point, at least a quarter of the reach away."""
         low, high = self.reach
-        setpoint = self.daemon.daemon._machine.setpoint
+        setpoint = self.daemon.daemon._machine.asked.setpoint
         up = setpoint < 0.5 * (low + high)
         share = self.draw.uniform(0.65, 0.9) if up else self.draw.uniform(0.1, 0.35)
         self.daemon.accepts(SetSetpoint(low + share * (high - low)))

@@ -25,7 +25,7 @@ def test_a_full_capacitor_moves_no_load_that_is_to_hold_still(name: str, for_s: 
     world.boost.settle(400.0, 0.0)
     course.highest = -math.inf
     assert course.daemon.accepts(Enable())
-    setpoint = course.daemon.daemon._machine.setpoint
+    setpoint = course.daemon.daemon._machine.asked.setpoint
     course.run(for_s)
     assert course.daemon.state is State.RUNNING, course.daemon.trip
     assert course.highest < setpoint + 0.02 * course.span

@@ -410,3 +410,21 @@ def test_everybody_can_read_and_operate_the_page(
     with site.stalled(site.daemon):
         panel.expect_text(".age", "no data")
         assert violations(panel, axe) == []
+
+
+def test_a_program_is_shown_with_its_step_and_turned_by_hand(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    site = panel_site.site
+    site.run_drive()
+    steps = [{"do": "ramp", "to": 3.2, "slope": 5.0}, {"do": "hold", "for_s": 7200.0}]
+    site.demand("program", {"name": "bath", "steps": [*steps, *steps]})
+    row = operator.page.locator(".now .values div").filter(has_text="program bath")
+    expect(row).to_contain_text("step 2 of 4: hold for 7200 s", timeout=PATIENCE_MS)
+    expect(row).to_contain_text("left")
+    operator.page.locator("summary", has_text="Program").click()
+    operator.page.get_by_role("button", name="Pause").click()
+    expect(row).to_contain_text("hold for 7200 s, paused", timeout=PATIENCE_MS)
+    operator.page.get_by_role("button", name="End program").click()
+    expect(row).to_contain_text("ended: stopped", timeout=PATIENCE_MS)
+    rest(panel_site)

@@ -16,12 +16,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from cyclopts import App
+from hypothesis import given
+from hypothesis import strategies as st
 
 from adaptdrive import __version__
 from adaptdrive.cli import carry_out, main, operate
 from adaptdrive.cli.options import build_app, parsed_command
+from adaptdrive.cli.programs import per_second, read_program, seconds
 from adaptdrive.config import Configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode, Shape, Waveform
@@ -31,22 +35,42 @@ from adaptdrive.mqtt.contract import Reply
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     REQUESTS,
+    Choose,
     Disable,
     Enable,
+    End,
+    HoldFor,
+    Program,
+    RampTo,
     Reload,
     Request,
     Reset,
+    RunProgram,
     SetMode,
     SetPole,
     SetSetpoint,
     SetVoltage,
     SetWaveform,
+    Turn,
+    WaveFor,
 )
 from adaptdrive_sim.cli import app as sim_app
 from tests.golden import hold
 from tests.unit.cli.here import run_here
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "motor.toml"
+PROGRAM = EXAMPLE.parents[1] / "programs" / "motor.toml"
+CYCLE = Program(
+    "cycle",
+    (
+        Choose("adaptive"),
+        RampTo(3.2, 0.5),
+        HoldFor(10.0),
+        WaveFor(Shape.SINE, 2.8, 3.6, 8.0, 24.0),
+        RampTo(2.4, 0.2),
+    ),
+    End.DISABLE,
+)
 C_LOCALE = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
 """What leaves Python with ASCII."""
 
@@ -103,9 +127,16 @@ def outcome(*words: str, **environment: str) -> tuple[int, str, str]:
     [
         ("setpoint bench 3.1", SetSetpoint(3.1)),
         ("setpoint bench -3", SetSetpoint(-3.0)),
+        ("setpoint bench 3 --ramp 0.5/s", SetSetpoint(3.0, 0.5)),
+        ("setpoint bench 3 --ramp 3/min", SetSetpoint(3.0, 0.05)),
+        ("setpoint bench 3 --ramp 36/h", SetSetpoint(3.0, 0.01)),
+        ("setpoint bench 3 --ramp 2", SetSetpoint(3.0, 2.0)),
         ("waveform bench square 3 3.2 120", SetWaveform(Waveform(Shape.SQUARE, 3.0, 3.2, 120.0))),
         ("waveform bench sine -1 1 5", SetWaveform(Waveform(Shape.SINE, -1.0, 1.0, 5.0))),
         ("waveform bench off", SetWaveform(None)),
+        ("program pause bench", RunProgram(Turn.PAUSE)),
+        (f"program start bench {PROGRAM}", RunProgram(CYCLE)),
+        (f"program check bench {PROGRAM}", RunProgram(CYCLE, check=True)),
         ("pole bench 0.8", SetPole(0.8)),
         ("mode bench adaptive", SetMode(Mode.ADAPTIVE)),
         ("manual bench", SetMode(Mode.MANUAL)),
@@ -122,6 +153,51 @@ def test_an_accepted_command_ends_with_0(drive: Drive, words: str, request_: Req
     verb = type(request_).verb
     assert (status, output, errors) == (0, f"bench: {verb} accepted, running\n", "")
     assert drive.asked == [request_]
+
+
+@pytest.mark.parametrize(
+    ("text", "flaw"),
+    [
+        ('[[steps]]\ndo = "ramp"', "step 1: Object missing required field `to`"),
+        ('steps = [{do = "hold", for_s = 1}, {do = "rest"}]', "step 2.do: Invalid value 'rest'"),
+        ('steps = [{do = "hold", for = "2 d"}]', 'step 1: "2 d" has none of the units s, min, h.'),
+        ('steps = [{do = "ramp", to = 1, slope = "0/h"}]', 'step 1: "0/h" is not a positive'),
+        ("steps = []", "steps: Expected `array` of length >= 1"),
+        ("steps", "program: Expected '='"),
+    ],
+)
+def test_a_file_that_is_no_program_is_refused_with_the_place(
+    drive: Drive, tmp_path: Path, text: str, flaw: str
+) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text(text)
+    status, output, errors = outcome("program", "start", "bench", str(file))
+    assert (status, output) == (2, "")
+    assert f"{file}: {flaw}" in errors
+    assert drive.asked == []
+
+
+@given(st.floats(1e-9, 1e9), st.sampled_from([("s", 1.0), ("min", 60.0), ("h", 3600.0)]))
+def test_a_time_and_a_slope_are_read_with_their_unit(
+    number: float, unit: tuple[str, float]
+) -> None:
+    name, factor = unit
+    assert seconds(f"{number!r} {name}") == number * factor
+    assert per_second(f"{number!r}/{name}") == number / factor
+
+
+def test_a_program_in_json_is_the_one_in_toml(tmp_path: Path) -> None:
+    file = tmp_path / "other.json"
+    file.write_bytes(msgspec.json.encode(CYCLE))
+    assert read_program(file) == read_program(PROGRAM)
+
+
+@pytest.mark.parametrize(
+    ("words", "needed"), [("start bench", "start needs a FILE"), ("stop bench x", "no FILE")]
+)
+def test_an_action_of_a_program_takes_what_it_needs(drive: Drive, words: str, needed: str) -> None:
+    status, _, errors = outcome("program", *words.split())
+    assert (status, needed in errors, drive.asked) == (2, True, [])
 
 
 def test_each_command_has_its_words() -> None:

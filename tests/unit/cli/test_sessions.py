@@ -12,6 +12,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import msgspec
+import pyarrow.parquet as pq
 import pytest
 
 import adaptdrive
@@ -73,8 +74,12 @@ def test_a_whole_session_passes_and_a_damaged_one_fails(tmp_path: Path) -> None:
     state = recorded(tmp_path, Dropped())
     assert run(state, "sessions", "verify", NAME).returncode == 0
     path = state / "sessions" / NAME / "ticks-0001.parquet"
+    group = pq.read_metadata(path).row_group(0)
+    columns = [group.column(i) for i in range(group.num_columns)]
+    largest = max(columns, key=lambda one: one.total_compressed_size)
+    # the headers of pages and the footer have no checksum
     content = bytearray(path.read_bytes())
-    content[len(content) // 3] ^= 0x10
+    content[largest.data_page_offset + largest.total_compressed_size // 2] ^= 0x10
     path.write_bytes(content)
     answer = run(state, "sessions", "verify", NAME)
     assert answer.returncode == 1

@@ -33,12 +33,12 @@ from adaptdrive.runtime.reports import (
     DriveReport,
     Hub,
     LoadReport,
-    Quantiles,
     SensorReport,
     State,
     StateReport,
 )
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
+from adaptdrive.runtime.timebase import Quantiles
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import RefusedError
 from tests.support import Broker

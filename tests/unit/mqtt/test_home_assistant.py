@@ -59,6 +59,7 @@ CLASS_UNITS: dict[
     "temperature_delta": {"°C", "°F", "K"},
     "power": {"W", "kW", "mW", "MW"},
     "frequency": {"Hz", "kHz", "MHz", "GHz"},
+    "duration": {"s", "min", "h"},
     "enum": {None},
     "problem": {None},
     None: {None, "rad/s", "%", "Nm"},
@@ -163,7 +164,16 @@ async def test_what_home_assistant_shows_is_in_the_messages(
         "refused": f"setpoint: {refused['reason']}",
         "trip_kind": "over-voltage",
         "last_trip": OVER_VOLTAGE.text,
+        "program": "none",
+        "program_left": "None",
     }
+    program = {"name": "bath", "step": 3, "steps": 5, "does": "hold", "status": "running"}
+    for name, content, wanted in (
+        ("program", {"program": program}, "bath running, step 3 of 5: hold"),
+        ("program_left", {"remaining": {"program_s": 9200.0}}, "9200.0"),
+    ):
+        template = payload["components"][name]["value_template"]
+        assert rendered(template, value_json=content) == wanted
     kind = payload["components"]["trip_kind"]
     assert rendered(kind["value_template"], value_json={"trip_kind": None}) == "none"
     assert kind["options"] == ["none", *(one.value for one in TripKind)]

@@ -119,7 +119,7 @@ def tripped(running: Desk) -> Desk:
 def test_it_begins_in_standby_with_everything_off(standby: Desk) -> None:
     machine = standby.machine
     assert (machine.state, machine.mode, machine.trip) == (State.STANDBY, Mode.FIXED, None)
-    assert (machine.waveform, machine.pole) == (None, 0.7)
+    assert (machine.asked.waveform, machine.pole) == (None, 0.7)
     assert not machine.energised
     assert machine.stage is Stage.OFF
 
@@ -131,7 +131,7 @@ def test_enabling_below_what_v_c_can_hold_coasts_until_a_set_point(output: float
     desk.pass_ticks(5)
     assert (desk.state(), desk.machine.coasting) == (State.RUNNING, True)
     assert (desk.machine.stage, desk.machine.energised) == (Stage.OFF, True)
-    assert desk.machine.setpoint == max(output, 0.0)
+    assert desk.machine.asked.setpoint == max(output, 0.0)
     assert "coasting" in desk.machine.obstacle
     desk.ask(SetSetpoint(3.0))
     stages = []
@@ -236,7 +236,7 @@ def test_disabling_stops_until_the_drive_confirms(
     desk.ask(Disable())
     assert desk.state() is State.STOPPING
     assert (desk.machine.stage, desk.machine.energised) == (Stage.OFF, False)
-    assert desk.machine.waveform is None
+    assert desk.machine.asked.waveform is None
     desk.refuses(Enable(), "the drive has not confirmed its stop; enable it in standby")
     desk.cause = FAULT
     desk.refuses(Enable(), f"the drive has not confirmed its stop ({FAULT}); enable it in standby")
@@ -279,7 +279,7 @@ def test_a_set_point_is_steady_while_no_waveform_and_no_operator_moves_the_outpu
     running.ask(SetWaveform(SQUARE))
     assert running.machine.steady is False
     running.ask(SetMode(Mode.MANUAL))
-    assert running.machine.waveform is None
+    assert running.machine.asked.waveform is None
     assert running.machine.steady is False
     running.ask(SetMode(Mode.ADAPTIVE))
     assert running.machine.steady is True
@@ -373,7 +373,7 @@ def test_a_waveform_begins_when_it_is_asked_for_and_ends_where_it_is(running: De
     values = [running.machine.reference(start + ticks) for ticks in (0, half - 1, half, 2 * half)]
     assert values == [3.2, 3.2, 3.0, 3.2]
     running.ask(Enable(), output=1.0)  # it is enabled
-    assert running.machine.waveform is SQUARE
+    assert running.machine.asked.waveform is SQUARE
     running.ask(SetWaveform(Waveform(Shape.TRIANGLE, 2.0, 4.0, 8.0)))
     running.pass_ticks(120)
     held = running.machine.reference(running.tick)
@@ -381,7 +381,7 @@ def test_a_waveform_begins_when_it_is_asked_for_and_ends_where_it_is(running: De
     assert running.machine.reference(running.tick + 5000) == held
     running.ask(SetWaveform(SQUARE))
     running.ask(SetSetpoint(-0.0))
-    assert running.machine.waveform is None
+    assert running.machine.asked.waveform is None
     assert math.copysign(1.0, running.machine.reference(running.tick + 99_999)) == 1.0
 
 
@@ -398,5 +398,5 @@ def test_enabling_forgets_set_point_and_waveform_of_the_last_run(
     running.machine.confirm_stop()
     assert running.state() is State.STANDBY
     running.ask(Enable(), output=1.25)
-    assert running.machine.waveform is None
+    assert running.machine.asked.waveform is None
     assert running.machine.reference(running.tick + 5000) == 1.25

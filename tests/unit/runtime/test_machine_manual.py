@@ -112,7 +112,7 @@ def test_a_load_that_turns_backwards_coasts_at_a_set_point_of_0(
     desk = Desk(reach=REACH, load=LOAD.model_copy(update={"reference_min": 1.5}))
     desk.ask(Enable(), output)
     assert desk.machine.coasting
-    assert desk.machine.setpoint == setpoint
+    assert desk.machine.asked.setpoint == setpoint
 
 
 @pytest.mark.parametrize(("setpoint", "coasts"), [(-1.0, False), (-1.5, True), (0.0, False)])
@@ -149,11 +149,11 @@ def test_manual_holds_the_voltage_in_force_and_ends_a_waveform(
     desk = running()
     desk.ask(SetWaveform(SQUARE))
     desk.ask(SetMode(Mode.ADAPTIVE), output=4.0)
-    assert (desk.machine.waveform, desk.machine.setpoint) == (SQUARE, 3.0)
+    assert (desk.machine.asked.waveform, desk.machine.asked.setpoint) == (SQUARE, 3.0)
     assert desk.machine.manual_V(1000) == 0.0  # there is none in another mode
     for voltage_V in (in_force_V, 250.0):  # asked for again it does not move
         desk.machine.carry_out(SetMode(Mode.MANUAL), desk.tick, 3.0, None, voltage_V)
-        assert (desk.machine.mode, desk.machine.waveform) == (Mode.MANUAL, None)
+        assert (desk.machine.mode, desk.machine.asked.waveform) == (Mode.MANUAL, None)
         assert [desk.machine.manual_V(desk.tick + n) for n in (0, 1, 1000)] == [held_V] * 3
     desk.refuses(SetSetpoint(3.0), "setpoint needs mode fixed or adaptive; mode is manual")
     desk.refuses(SetWaveform(SQUARE), "waveform needs mode fixed or adaptive; mode is manual")
@@ -182,7 +182,7 @@ def test_after_manual_the_present_output_is_held_as_far_as_it_can_be(
         desk.ask(Enable(), 3.0)
     desk.ask(SetMode(Mode.FIXED), output)
     assert desk.machine.coasting is (drive == "coasts")
-    assert desk.machine.setpoint == setpoint
+    assert desk.machine.asked.setpoint == setpoint
 
 
 def test_a_voltage_needs_mode_manual_and_a_running_drive() -> None:

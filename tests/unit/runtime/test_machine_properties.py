@@ -37,7 +37,7 @@ LIMITS = replace(PLAIN, reach=REACH)
 ANY = st.floats() | st.floats(-1.0, 6.0)
 WAVEFORMS = st.builds(Waveform, st.sampled_from(Shape), ANY, ANY, ANY | st.floats(4.0, 100.0))
 WISHES = st.one_of(
-    st.builds(SetSetpoint, ANY),
+    st.builds(SetSetpoint, ANY, st.none() | ANY),
     st.builds(SetWaveform, st.none() | WAVEFORMS),
     st.builds(SetMode, st.sampled_from(Mode)),
     st.builds(SetVoltage, st.floats() | st.floats(200.0, 400.0), st.none() | ANY),

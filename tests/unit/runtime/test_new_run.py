@@ -17,5 +17,5 @@ def test_enabling_after_a_trip_forgets_the_waveform() -> None:
     desk.ask(Reset())
     desk.machine.confirm_stop()
     desk.ask(Enable(), output=1.25)
-    assert desk.machine.waveform is None
+    assert desk.machine.asked.waveform is None
     assert desk.machine.reference(desk.tick + 5000) == 1.25

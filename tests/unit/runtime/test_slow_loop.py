@@ -14,6 +14,7 @@ from adaptdrive.control.signals import Decision, Mode, Snapshot
 from adaptdrive.runtime.accounts import Announcer, status_line
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.fast_loop import FastLoop
+from adaptdrive.runtime.program import Programs
 from adaptdrive.runtime.reports import (
     Event,
     Hub,
@@ -165,9 +166,9 @@ def test_it_says_what_is_awaited(
 def test_it_says_that_recording_has_failed(recorded: bool, rest: str) -> None:
     shown: list[str] = []
     fast = SimpleNamespace(stopping=SimpleNamespace(status=StopWord.AWAITED), cause=None)
-    manager, machine = SimpleNamespace(status=shown.append), Machine(MACHINE)
+    manager, programs = SimpleNamespace(status=shown.append), Programs(Machine(MACHINE), MACHINE)
     announcer = Announcer(
-        machine, cast(FastLoop, fast), Hub(), cast(ServiceManager, manager), lambda: recorded
+        programs, cast(FastLoop, fast), Hub(), cast(ServiceManager, manager), lambda: recorded
     )
     announcer.update_manager()
     assert shown == [f"standby, waiting for enable{rest}"]

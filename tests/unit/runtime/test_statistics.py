@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from adaptdrive.devices.port import PortStatistics
 from adaptdrive.runtime.accounts import WINDOW_S, RefusedShare
 from adaptdrive.runtime.fast_loop import TimeWindow
-from adaptdrive.runtime.reports import BINS, Quantiles
+from adaptdrive.runtime.timebase import BINS, Quantiles
 
 TIMES = st.lists(st.floats(0.0, 1e6), min_size=1, max_size=400)
 
