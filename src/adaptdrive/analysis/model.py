@@ -34,7 +34,8 @@ from adaptdrive.control.design.pole_placement import Plant, discrete_model, is_s
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Estimate
-from adaptdrive.recording.reader import Session
+from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording.replay import reconfigured
 from adaptdrive.recording.session import TableName
 from adaptdrive.util.errors import IdentificationError, RecordingError
 
@@ -249,14 +250,16 @@ def model_of_session(path: Path, begin_s: float | None = None, end_s: float | No
     Raises:
         AdaptdriveError: The session cannot be read, or does not show its load.
     """
-    found = identify_session(path, begin_s, end_s)
+    session = read_session(path)
+    found, _ = identify_session(session, begin_s, end_s)
+    configuration = reconfigured(session.config_text, path / "config.toml", ())
     names = tuple(found.load.parameters)
-    loads = candidate_loads(found.configuration)
+    loads = candidate_loads(configuration)
     load = next(one for one in loads if one.names == names)
     load = replace(load, delay_s=found.load.delay_s)
-    *gains, _ = _last_gains(found.session, begin_s, end_s)
-    model = _model(found.configuration, load, found.load.parameters, gains)
-    return replace(model, name=found.name, covariance=found.load.covariance)
+    *gains, _ = _last_gains(session, begin_s, end_s)
+    model = _model(configuration, load, found.load.parameters, gains)
+    return replace(model, name=session.path.name, covariance=found.load.covariance)
 
 
 def _last_gains(session: Session, begin_s: float | None, end_s: float | None) -> list[float]:

@@ -91,7 +91,7 @@ def test_it_is_replayed_bit_for_bit(tmp_path: Path) -> None:
 
 def test_a_ramp_is_known_ahead_and_replayed_bit_for_bit(tmp_path: Path) -> None:
     own = configuration()
-    world = World(Motor(MotorParameters()), WorldParameters(seed=3))
+    world = World(Motor(MotorParameters()), seed=3)
     world.settle(world.boost_voltage_for(LOW))
     drive = RecordedDrive(own, world)
     wait(drive, 5.0)

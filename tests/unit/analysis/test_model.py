@@ -172,8 +172,9 @@ def test_the_held_model_is_that_of_scipy(model: Model) -> None:
 def test_the_model_of_a_session_is_its_identified_load_and_its_last_gains(
     session_path: Path, of_session: Model
 ) -> None:
-    found = identify_session(session_path)
-    gains = read_session(session_path).table("slow")["gains"][-1].as_py()
+    session = read_session(session_path)
+    found, _ = identify_session(session)
+    gains = session.table("slow")["gains"][-1].as_py()
     assert of_session.parameters == found.load.parameters
     assert of_session.polynomials("load")[1] == pytest.approx(found.load.denominator)
     assert [*of_session.r[1:], *of_session.s] == gains[:-1]
