@@ -27,7 +27,7 @@ help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
 
 demo: $(demonstrable) ## watch the motor being held while disks drop onto its shaft
-	@$(bin)/adaptdrive-sim demo motor
+	@$(bin)/adaptdrive-sim demo motor --speed 2
 
 test: $(installed) peers ## run the test suite, in about five minutes on two processors
 	$(bin)/python -m pytest -m 'not proof' --numprocesses 3 --dist worksteal -rfEs --durations=10
