@@ -15,6 +15,7 @@ from adaptdrive.runtime.requests import Disable
 from adaptdrive.safety.facts import Reading
 from adaptdrive_sim.plants.bath import Bath
 from adaptdrive_sim.plants.battery import Battery
+from adaptdrive_sim.plants.boost import SAG_MAX_s
 from adaptdrive_sim.plants.motor import Motor
 from tests.integration.faults.course import Course, weaker
 from tests.support import a_trip
@@ -175,7 +176,7 @@ def _scaled(name: str, factor: float) -> Put:
 
 
 def _line(course: Course) -> None:
-    course.drive.world.line.parameters = replace(course.drive.world.line.parameters, voltage_V=30.0)
+    course.drive.world.line.sag(0.75, SAG_MAX_s)
 
 
 def _frozen(course: Course) -> None:

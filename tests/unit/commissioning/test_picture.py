@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import time
 
 from rich.console import Console
 
@@ -27,7 +26,7 @@ def run(record: WatchRecord, experiment: ExperimentCourse, samples: int) -> None
 
 
 def test_it_shows_phase_voltage_output_and_the_key_that_ends_it() -> None:
-    record, experiment = WatchRecord("motor", time.monotonic), load_experiment(TARGET)
+    record, experiment = WatchRecord("motor", lambda: 0.0), load_experiment(TARGET)
     run(record, experiment, 600)
     file = io.StringIO()
     Console(file=file, width=80, height=24).print(screen(record, experiment, (80, 24)))

@@ -19,7 +19,7 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PROJECT = PYPROJECT["project"]
 OURS = {"adaptdrive", "adaptdrive_sim", "tests", "tools"}
 EXTRAS = {
-    "src": ("analysis", "canopen", "desk", "export"),
+    "src": ("analysis", "canopen", "control", "desk", "export", "shell"),
     "simulators": ("sim", "cluster"),
     "tests": tuple(PROJECT["optional-dependencies"]),
     "tools": tuple(PROJECT["optional-dependencies"]),

@@ -90,9 +90,11 @@ def test_the_next_step_of_the_readme_works_as_typed_and_the_demonstration_names_
     monkeypatch.setenv("PATH", "/usr/bin:/bin")
     assert next_step().startswith(f". {activate} ")
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    found = re.search(r"```sh\n(\. \.venv/bin/activate .*\nadaptdrive init .*)\n", readme)
-    assert found is not None
-    typed = found[1].replace(".venv/bin/activate", str(activate))
+    first = re.search(r"^\. \.venv/bin/activate", readme, re.MULTILINE)
+    then = re.search(r"```sh\n(adaptdrive init .*)\n", readme)
+    assert first is not None
+    assert then is not None
+    typed = f". {activate}\n{then[1]}"
     subprocess.run(["sh", "-ec", typed], check=True, capture_output=True)
     assert (tmp_path / "pump.toml").exists()
 
