@@ -20,8 +20,8 @@ from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.safety import plausibility
 
 MODEL_ERROR = 0.1
-"""Error of each parameter that the fixed gains must stand: copper has 10 % more resistance when it
-is 25 K warmer, and commissioning is seldom wrong by more."""
+"""Error of each parameter that the fixed gains must stand: copper that is 25 K warmer has
+10 % more resistance."""
 
 _FASTEST = 0.5
 """Fastest pole that an operator may ask for, where `load.pole` is slower: most of an error is gone

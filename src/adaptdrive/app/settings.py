@@ -98,8 +98,7 @@ _PROBE_S = 300.0
 """Time without movement after which the load counts as unknown, and least time between probes."""
 
 _OPEN = thresholds.UNKNOWN * thresholds.UNKNOWN / thresholds.NOISE_FLOOR
-"""P[0] of the exact design, over σ²: nothing is known of any parameter, at the smallest σ, so
-that the first alarm is not the nominal model's fault."""
+"""P[0] of the exact design, over σ²: nothing is known of any parameter, at the smallest σ."""
 
 PAPER_COVARIANCE = 1.0e4
 """P[0] of the paper."""

@@ -37,8 +37,7 @@ NOISE_FLOOR = 1.0e-8
 """Least variance: a ten-thousandth of the scale, squared, for rounding and model error."""
 
 UNKNOWN = 2.0 * PRIOR_SHARE
-"""Deviation of a scaled parameter that may be any: two more disks move α of a motor by 0.7, and
-two deviations of what is known before samples are all of it."""
+"""Deviation of a scaled parameter that may be any: two more disks move α of a motor by 0.7."""
 
 LOST_SHARE = 0.1
 """Share of the ticks of a slow period above which stand-ins make a sample that teaches nothing, and

@@ -212,7 +212,7 @@ def modbus_both(
     return cell, cell
 
 
-_SERIAL_ONLY = "TCP has its own checksum"
+_SERIAL_ONLY = "own checksum"
 _NAN, _HIGH = float_bytes(float("nan")), float_bytes(9.5)
 
 ROWS = (
@@ -240,8 +240,8 @@ ROWS = (
         "reordered",
         "reordered",
         Cell(on_can(swapped()), trips=False, count="counter_lost"),
-        "one request at a time",
-        "one request at a time",
+        "none",
+        "none",
     ),
     Row(
         "late",
@@ -314,14 +314,14 @@ ROWS = (
     Row(
         "transaction",
         "wrong transaction id",
-        "CAN has none",
+        "none",
         Cell(on_modbus(spoil=spoils.other_transaction), trips=True, count="foreign"),
-        "RTU has none",
+        "none",
     ),
     Row(
         "exception",
         "exception replies",
-        "CAN has none",
+        "none",
         *modbus_both(
             "exceptions",
             cause="the drive refuses commands",
@@ -339,8 +339,8 @@ ROWS = (
         "bus-off",
         "bus-off",
         Cell(bus_off, trips=True, words="bus-off", hears=False),
-        "TCP has none",
-        "RTU has none",
+        "none",
+        "none",
     ),
     Row(
         "cable",

@@ -173,8 +173,7 @@ _RATE = 1.0 / thresholds.FEWEST
 """Rate of the medians, a factor of 2 in 4 samples: a start with another load is soon forgotten."""
 
 _SWINGING = 2.0 * thresholds.CLEAR
-"""Λ from which it is in force, twice what decides between estimates whose noise is known: a swing
-has 90 to 110, noise of 5 % after a change up to 40."""
+"""Λ from which it is in force: a swing has 90 to 110, noise of 5 % after a change up to 40."""
 
 
 class IncrementalModel:

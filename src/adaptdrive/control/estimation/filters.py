@@ -178,8 +178,7 @@ TOLERANCE = 0.02
 """Distance from a multiple, in steps: more than single precision leaves of the finest step."""
 
 _FOUND = math.ceil(math.log(sys.float_info.epsilon) / math.log(2.0 * TOLERANCE))
-"""Differences that must agree: without steps each does by a chance of twice the tolerance, and all
-of them by less than the rounding of a double."""
+"""Differences that must agree: without steps all do by a chance below the rounding of a double."""
 
 _MISS = _FOUND // 3
 """Weight of a difference that does not agree, which by chance only one of 25 does: three refute a

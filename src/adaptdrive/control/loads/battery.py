@@ -98,8 +98,7 @@ _NEAR_LIMIT = 0.99
 """Share of the largest voltage that counts as reached: the taper never reaches all of it."""
 
 ABOVE = 1.02
-"""Terminal voltage that V_c may lead to, over V_max: a current that wants more has no battery to
-flow into, and the taper itself overshoots by less."""
+"""Terminal voltage that V_c may lead to, over V_max: the taper overshoots by less."""
 
 _STEP = 4.0
 """Current, in end currents, that no taper loses in one slow period, even with a wrong R_0."""

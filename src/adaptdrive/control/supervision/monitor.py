@@ -196,9 +196,8 @@ def _share(lag_periods: float) -> float:
 # The watch over the fixed controller: a limit cycle ends in the safe state.
 
 TRAVERSES = MEMORY
-"""Ways of the input from one limit to the other that are a limit cycle, each of one slow period or
-more: all that an estimate remembers is the cycle then, the adaptive controller has taken over where
-the estimate is within its bounds, and the mean errors have forgotten the last step."""
+"""Ways of the input from one limit to the other that are a limit cycle: all that an estimate and the
+mean errors remember is the cycle then."""
 
 LONGEST_WAY = MEMORY
 """Slow periods after which a way belongs to no cycle: the one before is forgotten by then."""
