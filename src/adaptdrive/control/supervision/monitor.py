@@ -196,8 +196,8 @@ def _share(lag_periods: float) -> float:
 # The watch over the fixed controller: a limit cycle ends in the safe state.
 
 TRAVERSES = MEMORY
-"""Ways of the input from one limit to the other that are a limit cycle: all that an estimate and the
-mean errors remember is the cycle then."""
+"""Ways of the input from one limit to the other that are a limit cycle: all that an estimate and
+the mean errors remember is the cycle then."""
 
 LONGEST_WAY = MEMORY
 """Slow periods after which a way belongs to no cycle: the one before is forgotten by then."""
