@@ -26,8 +26,7 @@
  * }} Fast
  * @typedef {{time: string, kind: string, severity: string, detail: string, remedy: string, trip_kind: string}} DriveEvent
  * @typedef {{timeS: number, output: number|null, boost_voltage_V: number|null, reference: number|null, asked_V: number|null}} Point
- * @typedef {{change: number|null, changeStd: number|null, trend: number|null, trendStd: number|null, since: string, step: number|null, stepStd: number|null, outside: boolean}} HealthOf
- * @typedef {{time: string, quantities: Record<string, HealthOf>, times: (number|null)[], courses: Record<string, (number|null)[]>}} Health
+ * @typedef {{time: string, quantities: Record<string, {meaning: string}>, times: (number|null)[], courses: Record<string, (number|null)[]>}} Health
  * @typedef {{timeS: number, kind: string, text: string}} Mark
  * @typedef {{rows: Load[], points: Point[]}} Past
  * @typedef {{id: string, accepted: boolean, reason: string}} Reply

@@ -110,16 +110,8 @@ const Payloads = (() => {
     const all = row(raw.times_s);
     const kept = all.flatMap((timeS, i) => (timeS !== null && timeS >= 0 && timeS > (all[i - 1] ?? -1) ? [i] : []));
     return {
-      time: text(raw.time), quantities: map(raw.quantities, (one) => quantity(fields(one))),
+      time: text(raw.time), quantities: map(raw.quantities, (one) => ({ meaning: text(fields(one).meaning) })),
       times: kept.map((i) => all[i]), courses: map(raw.courses, (one) => kept.map((i) => row(one)[i] ?? null)),
-    };
-  }
-
-  /** @param {Record<string, unknown>} raw @returns {HealthOf} */
-  function quantity(raw) {
-    return {
-      change: number(raw.change_percent), changeStd: number(raw.change_std), trend: number(raw.trend_percent), trendStd: number(raw.trend_std),
-      since: text(raw.since), step: number(raw.step_percent), stepStd: number(raw.step_std), outside: raw.outside === true,
     };
   }
 

@@ -14,12 +14,12 @@ from typing import Annotated, Any, Generic, TypeVar
 
 from adaptdrive.control import signals
 from adaptdrive.control.signals import UNKNOWN, Reach
-from adaptdrive.runtime.health import HealthReport
 from adaptdrive.runtime.requests import ProgramReport, ProgramTimes
 from adaptdrive.runtime.timebase import NO_TIMES, Quantiles
 from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import escaped
 from adaptdrive.util.quantity import Quantity, columns_of
+from adaptdrive.util.trends import HealthReport
 
 # Reports of the runtime: immutable snapshots, never live objects.
 

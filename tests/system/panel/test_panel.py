@@ -330,7 +330,7 @@ def test_the_health_of_the_load_is_plotted_with_what_it_means(
 ) -> None:
     health = contract.health_message(HEALTH) | {"quantities": {"friction": WORN}}
     hostile_raw(panel_site.site.broker_port, "adaptdrive/motor/health", contract.encode(health))
-    operator.page.get_by_text("friction 1 ± 0.04\u202f% a week, out of its bounds").wait_for()
+    operator.page.get_by_text("dry friction and load torque up 1 ± 0.04 % a week").wait_for()
     plot = operator.page.locator("figure", has_text="health: change since the first days")
     assert plot.locator("canvas").count() == 1
     assert plot.locator(".u-legend").inner_text().count("friction") == 1
