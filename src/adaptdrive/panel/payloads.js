@@ -87,7 +87,7 @@ const Payloads = (() => {
       load_power_W: number(raw.load_power_W), line_voltage_V: number(raw.line_voltage_V),
       age_s: number(raw.age_s), ticks: number(raw.ticks), missed: number(raw.missed), held: number(raw.held),
       lateness_us: { p99: number(lateness.p99), max: number(lateness.max) },
-      bus: map(raw.bus, number), bridge: fields(raw.command).bridge === true, left_s: number(fields(raw.remaining).program_s),
+      bus: map(raw.bus, number), bridge: fields(raw.command).bridge === true, left_s: number(raw.remaining_s),
       sensors: map(raw.sensors, (one) => ({ up: fields(one).up === true, detail: text(fields(one).detail) })),
     };
   }

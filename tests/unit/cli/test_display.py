@@ -20,7 +20,7 @@ _STATE = (
     "program",
 )
 _LOAD = ("estimates", "reference", "boost_reference_V", "k")
-_DRIVE = ("output", "remaining", "age_s", "ticks", "load_power_W")
+_DRIVE = ("output", "remaining_s", "age_s", "ticks", "load_power_W")
 
 
 TRIPPED = {
@@ -69,7 +69,7 @@ def test_a_program_is_shown_with_its_step_and_what_is_left(
     program: dict[str, str], line: str
 ) -> None:
     state = {"state": "running", "program": PROGRAM | program}
-    telemetry = {"drive": {"remaining": {"step_s": 5400.0, "program_s": 9200.0}}}
+    telemetry = {"drive": {"remaining_s": 9200.0}}
     lines = describe("b", DriveStatus("online", state, telemetry, live=True)).splitlines()
     assert f"  program     {line}" in lines
 
