@@ -42,10 +42,7 @@ _DEVICE_CLASSES = {
 _LAST_TRIP = (  # a state in Home Assistant has at most 255 characters
     "{{ value_json.last_trip.text[:255] if value_json.last_trip else 'none' }}"
 )
-_PROGRAM = (
-    "{% set it = value_json.program %}{{ (it.name ~ ' ' ~ it.status ~ ', step ' ~ it.step ~ ' of ' "
-    "~ it.steps ~ ': ' ~ it.does)[:255] if it else 'none' }}"
-)
+_PROGRAM = "{{ value_json.program.text[:255] if value_json.program else 'none' }}"
 _ANSWER = (  # to a command of Home Assistant; that to another client's leaves it as it is
     "{% if (value_json.id | string).startswith('ha-') %}"
     "{{ 'none' if value_json.accepted else (value_json.verb ~ ': ' ~ value_json.reason)[:255] }}"

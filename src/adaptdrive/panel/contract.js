@@ -5,7 +5,7 @@
  * @typedef {{value: number|null, std: number|null}} Estimate
  * @typedef {{time: string, kind: string, text: string, remedy: string}} Trip
  * @typedef {{shape: string, low: number|null, high: number|null, period_s: number|null}} Waveform
- * @typedef {{name: string, step: number|null, steps: number|null, does: string, status: string, reason: string}} Program
+ * @typedef {{name: string, text: string}} Program
  * @typedef {{
  *   state: string, mode: string, controller: string, reason: string, enabled: boolean,
  *   setpoint: number|null, waveform: Waveform|null, pole: number|null, trip: string|null, trip_kind: string,

@@ -42,9 +42,7 @@ const Payloads = (() => {
 
   /** @param {unknown} value @returns {Program|null} */
   function program(value) {
-    if (!isObject(value)) return null;
-    const { name, step, steps, does, status, reason } = value;
-    return { name: text(name), step: number(step), steps: number(steps), does: text(does), status: text(status), reason: text(reason) };
+    return isObject(value) ? { name: text(value.name), text: text(value.text) } : null;
   }
 
   /** @param {unknown} value @returns {Trip|null} */

@@ -343,8 +343,8 @@ class Announcer:
             self._report_state(report, last)
         elif report.controller is not last.controller:
             self._report_controller(report, last)
-        if report.program != last.program:
-            self.publish_event("program", reports.Severity.INFO, str(report.program))
+        if report.program is not None and report.program != last.program:
+            self.publish_event("program", reports.Severity.INFO, report.program.text)
 
     def report_bus(self, *, up: bool, detail: str) -> None:
         """Publish the loss or the return of the bus."""

@@ -119,14 +119,11 @@ class Programs:
         self._active()
         if (run := self._run) is None:
             return None
-        return requests.ProgramReport(
-            name=run.program.name,
-            step=run.number + 1,
-            steps=len(run.program.steps),
-            does=_described(run.step, self._limits.load.output_unit),
-            status=run.status,
-            reason=run.reason,
-        )
+        name, step, steps = run.program.name, run.number + 1, len(run.program.steps)
+        does = _described(run.step, self._limits.load.output_unit)
+        status = f"{run.status}: {run.reason}" if run.reason else run.status
+        text = f"{name} {status}, step {step} of {steps}: {does}"
+        return requests.ProgramReport(name, step, steps, run.status, run.reason, text)
 
     def remaining_s(self, tick: int) -> float | None:
         """Return the least time to the end of the program that runs, None without one."""

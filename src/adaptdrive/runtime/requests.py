@@ -107,21 +107,17 @@ class ProgramReport:
         name: Its name.
         step: The present step, from 1.
         steps: Steps that it has.
-        does: What this step does.
         status: Whether it goes on.
         reason: Why it has ended; empty before.
+        text: All of that with what this step does, in words.
     """
 
     name: str
     step: int
     steps: int
-    does: str
     status: Literal["running", "paused", "ended"]
     reason: str
-
-    def __str__(self) -> str:
-        status = f"{self.status}: {self.reason}" if self.reason else self.status
-        return f"{self.name} {status}, step {self.step} of {self.steps}: {self.does}"
+    text: str
 
 
 # The requests.

@@ -424,7 +424,7 @@ def test_a_program_is_shown_with_its_step_and_turned_by_hand(
     expect(row).to_contain_text("left")
     operator.page.locator("summary", has_text="Program").click()
     operator.page.get_by_role("button", name="Pause").click()
-    expect(row).to_contain_text("hold for 7200 s, paused", timeout=PATIENCE_MS)
+    expect(row).to_contain_text("bath paused", timeout=PATIENCE_MS)
     operator.page.get_by_role("button", name="End program").click()
     expect(row).to_contain_text("ended: stopped", timeout=PATIENCE_MS)
     rest(panel_site)
