@@ -18,15 +18,7 @@ from typing import ParamSpec, TypeVar
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import (
-    health,
-    log_files,
-    overview,
-    reader,
-    records,
-    segments,
-    session,
-)
+from adaptdrive.recording import health, log_files, overview, reader, records, segments, session
 from adaptdrive.recording.tables import NOTE_ROWS, table_schema, write_parquet
 from adaptdrive.runtime.reports import MONOTONIC, Event, Severity
 from adaptdrive.runtime.timebase import BINS, bin_of

@@ -28,15 +28,7 @@ import msgspec
 import pyarrow as pa
 
 from adaptdrive.recording import log_files, session, tables
-from adaptdrive.recording.records import (
-    ROW_KINDS,
-    CommandRow,
-    EventRow,
-    Keep,
-    Kind,
-    Record,
-    Ticks,
-)
+from adaptdrive.recording.records import ROW_KINDS, CommandRow, EventRow, Keep, Kind, Record, Ticks
 from adaptdrive.recording.session import SessionInfo, TableName
 from adaptdrive.runtime.reports import MONOTONIC
 from adaptdrive.util.errors import NOT_JSON, RecordingError

@@ -16,12 +16,7 @@ from adaptdrive.runtime.settings import AskedReference, MachineLimits, require_p
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.errors import RefusedError
 
-_BY_HAND = (
-    requests.SetSetpoint,
-    requests.SetWaveform,
-    requests.SetMode,
-    requests.SetVoltage,
-)
+_BY_HAND = requests.SetSetpoint | requests.SetWaveform | requests.SetMode | requests.SetVoltage
 """Requests that would move what a program moves."""
 
 
