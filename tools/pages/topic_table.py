@@ -31,7 +31,6 @@ from adaptdrive.mqtt.contract import (
     simulator_topic,
 )
 from adaptdrive.mqtt.publisher import KEYS
-from adaptdrive.runtime.health import HealthReport
 from adaptdrive.runtime.reports import (
     SLOW_COLUMNS,
     DriveReport,
@@ -40,6 +39,7 @@ from adaptdrive.runtime.reports import (
     StateReport,
 )
 from adaptdrive.util.quantity import MEASURED, Column, columns_of
+from adaptdrive.util.trends import HealthReport
 
 Member = tuple[str, Any]
 """Name and type of a key, the type annotated with its meaning."""

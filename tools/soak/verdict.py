@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
+from adaptdrive.analysis.replay import replay
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.replay import replay
 
 
 @dataclass(frozen=True, slots=True)

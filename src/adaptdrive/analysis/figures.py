@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
+from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from adaptdrive.analysis import replay
 from adaptdrive.analysis.curves import Curves, find_window, read_curves
 from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
-from adaptdrive.recording import reader, replay
+from adaptdrive.recording import reader
 from adaptdrive.util import files, quantity
 from adaptdrive.util.errors import escaped
+from adaptdrive.util.trends import HealthReport
 
 # Style of all figures (figures.mplstyle), and the looks of their lines.
 
@@ -358,3 +361,30 @@ def plot(
     files.replace_result(figure, png)
     files.replace_result(report, escaped(page).encode())
     return figure, report
+
+
+# The health of a load.
+
+_ROW_in = 1.35
+
+
+def draw_health(drive: str, found: HealthReport) -> bytes:
+    """Draw the load over the weeks, each quantity in per cent of its first seven days.
+
+    Returns:
+        A PNG.
+    """
+    times, rows = [datetime.fromtimestamp(one, UTC) for one in found.times_s], len(found.courses)
+    with journal():
+        figure = Figure((WIDTH_in, _ROW_in * max(1, rows) + 0.4), layout="constrained")
+        panels = figure.subplots(max(1, rows), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (name, course) in zip(panels, found.courses.items(), strict=False):
+            one = found.quantities[name]
+            axes.plot(times, np.array(course, float), ".", color=ADAPTIVE["color"])
+            if one.since is not None:
+                axes.axvline(one.since, **FIXED)
+            axes.set_title(f"{drive}: {one.meaning or name}")
+            axes.set_ylabel("%")
+        panels[-1].set_xlabel("UTC")
+        panels[-1].tick_params(axis="x", labelrotation=20)
+        return as_png(figure)

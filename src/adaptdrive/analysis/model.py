@@ -27,6 +27,7 @@ from scipy.signal import TransferFunction, freqz, tf2ss
 
 from adaptdrive.analysis.curves import Array, find_window, rows_within
 from adaptdrive.analysis.record import identify_session
+from adaptdrive.analysis.replay import reconfigured
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
@@ -35,7 +36,6 @@ from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Estimate
 from adaptdrive.recording.reader import Session, read_session
-from adaptdrive.recording.replay import reconfigured
 from adaptdrive.recording.session import TableName
 from adaptdrive.util.errors import IdentificationError, RecordingError
 

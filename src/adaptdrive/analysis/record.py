@@ -14,6 +14,7 @@ from adaptdrive.analysis import closed_loop
 from adaptdrive.analysis.columns import Columns, columns_of_file, columns_of_table, quantity_of
 from adaptdrive.analysis.curves import Array, find_window, rows_within
 from adaptdrive.analysis.excerpts import Stretch, block_samples, read_stretches
+from adaptdrive.analysis.replay import reconfigured
 from adaptdrive.app.loads import build_load, candidate_loads
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.loads import bath, motor
@@ -23,7 +24,6 @@ from adaptdrive.identification import identify_any, proposed_model, time_constan
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.reader import Session, read_session
-from adaptdrive.recording.replay import reconfigured
 from adaptdrive.recording.session import TableName
 from adaptdrive.util.errors import IdentificationError
 

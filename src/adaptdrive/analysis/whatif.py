@@ -13,13 +13,13 @@ from matplotlib.figure import Figure
 from adaptdrive.analysis import closed_loop, curves, excerpts, figures, load_report
 from adaptdrive.analysis.curves import Array, Response, response_of
 from adaptdrive.analysis.record import identify_session
+from adaptdrive.analysis.replay import reconfigured
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import AnyLoad
 from adaptdrive.control.signals import Mode
 from adaptdrive.recording.reader import Session, read_session
-from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import ConfigurationError, IdentificationError
 
 # A recorded session again in closed loop, with other settings.

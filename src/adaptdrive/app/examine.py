@@ -96,14 +96,12 @@ def implausible(configuration: Configuration) -> Iterator[Flaw]:
 
 def _health_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """The bounds are of quantities that the load has."""
-    known, nominal = recording.health_names(configuration)
-    for name, bound in configuration.health.bounds.items():
-        place = f"health.bounds.{name}"
+    known = recording.health_names(configuration)
+    names = ", ".join(known) or "none, as its estimates are no physical parameters"
+    for name in configuration.health.bounds:
         if name not in known:
-            names = ", ".join(known) or "none, as its estimates are no physical parameters"
-            yield Flaw(place, f"no quantity of this load{nearest(name, known)}; known: {names}")
-        elif bound.relative and name not in nominal:
-            yield Flaw(f"{place}.relative", "load.model has no such value: give it in its unit")
+            problem = f"no quantity of this load{nearest(name, known)}; known: {names}"
+            yield Flaw(f"health.bounds.{name}", problem)
 
 
 def _telemetry_flaws(configuration: Configuration) -> Iterator[Flaw]:

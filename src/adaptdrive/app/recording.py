@@ -24,7 +24,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.section import si_unit
 from adaptdrive.control.estimation.direct import METHODS
-from adaptdrive.control.loads.load import OFFSET, Load, derived
+from adaptdrive.control.loads.load import OFFSET, Load
 from adaptdrive.control.settings import ControllerSettings, SupervisionLimits
 from adaptdrive.devices.description import description_text
 from adaptdrive.recording import log_files, recorder, records, session
@@ -277,35 +277,29 @@ def health_settings(configuration: Configuration) -> records.HealthSettings:
     settings, load = controller_settings(configuration), build_load(configuration)
     if not is_kept(settings):
         return records.HealthSettings()
-    learning = settings.learning
-    nominal = dict(zip(load.names, _nominal(load), strict=True))
-    nominal |= derived(load.products, load.loss, nominal)
-    bounds = {}
-    for name, one in configuration.health.bounds.items():
-        scale = nominal.get(name, math.nan) if one.relative else 1.0
-        low, high = (None if end is None else scale * end for end in (one.min, one.max))
-        bounds[name] = low, high
-    share = max(1.0 - learning.forgetting, _LEAST_SHARE)
+    share = max(1.0 - settings.learning.forgetting, _LEAST_SHARE)
     return records.HealthSettings(
         products=load.products,
         loss=load.loss,
         share=share,
-        least_excitation=learning.gate * share,
-        nominal=nominal,
-        bounds=bounds,
+        least_excitation=settings.learning.gate * share,
+        bounds={
+            name: (
+                -math.inf if one.min is None else one.min,
+                math.inf if one.max is None else one.max,
+            )
+            for name, one in configuration.health.bounds.items()
+        },
     )
 
 
-def health_names(configuration: Configuration) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the quantities of the load that health knows, and those of them with a nominal value.
-
-    Both are empty where the estimates are no physical parameters.
-    """
-    settings = health_settings(configuration)
-    if not settings.loss:
-        return (), ()
-    offset = (OFFSET, settings.loss) if controller_settings(configuration).learning.bias else ()
-    return (*settings.nominal, *offset), tuple(settings.nominal)
+def health_names(configuration: Configuration) -> tuple[str, ...]:
+    """Return the quantities of the load that health knows, none without physical parameters."""
+    settings, load = controller_settings(configuration), build_load(configuration)
+    if not is_kept(settings):
+        return ()
+    offset = (OFFSET, load.loss) if settings.learning.bias else ()
+    return (*load.names, *load.products, *offset)
 
 
 def place_of(configuration: Configuration) -> tuple[Path, Path | None]:

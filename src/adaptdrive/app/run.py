@@ -270,7 +270,7 @@ async def _run(
         start("recorder", recorder.run(daemon.opened))
         profile = settings.operator_profile(configuration)
         around = operator_log(recalled, recorder)
-        profile = replace(profile, quantities=recording.health_names(configuration)[0])
+        profile = replace(profile, quantities=recording.health_names(configuration))
         start("mqtt", MqttService(profile, configuration.mqtt, daemon, hub, around).run())
         start("opened", course.opened(daemon.opened))
         if recording.is_kept(law):

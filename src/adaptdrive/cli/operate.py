@@ -5,23 +5,48 @@ They return 0 when the drive accepted, 1 when it refused, 3 when there was no an
 
 import asyncio
 import json
+import math
+import re
 import sys
+import tomllib
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
+import msgspec
+from cyclopts import Parameter, Token
 from msgspec.structs import asdict as asdict_of
 
 from adaptdrive.cli import UNUSABLE, discard_output, display, print_error
 from adaptdrive.cli.explain import with_kind
 from adaptdrive.cli.options import Contact, DriveName, Number, needing
-from adaptdrive.cli.programs import Slope, read_program
 from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
+from adaptdrive.runtime.requests import Program
 from adaptdrive.safety.trips import kind_of, remedy
+from adaptdrive.util.errors import ConfigurationError
 
 ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
 _HERE = Contact()
 _SHELL = "drive.<Tab> lists values and commands; drive.setpoint(VALUE); drive.enable(); exit leaves"
+
+
+_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+def _read_slope(_: object, tokens: Sequence[Token]) -> float:
+    """Return a slope per second from text such as `2/s`, `1.5/min` or `20/h`."""
+    number, _, unit = tokens[0].value.partition("/")
+    try:
+        slope = float(number) / _SECONDS[unit or "s"]
+    except (ValueError, LookupError):
+        slope = math.nan
+    if not 0.0 < slope < math.inf:
+        raise ValueError(f'"{tokens[0].value}" is no slope such as 2/s, 1.5/min or 20/h.')
+    return slope
+
+
+Slope = Annotated[float, Parameter(converter=_read_slope)]
 
 
 def setpoint(
@@ -79,7 +104,7 @@ def waveform(  # noqa: PLR0913 - the words of the command line
 
 
 def program(
-    action: Literal["start", "check", "pause", "resume", "skip", "stop"],
+    action: Literal["start", "pause", "resume", "skip", "stop"],
     drive: DriveName,
     file: Path | None = None,
     /,
@@ -89,18 +114,36 @@ def program(
     """Run a program of set-points; pause, resume or stop it, or skip a step.
 
     Args:
-        action: What becomes of it; `check` asks whether the drive would start it.
+        action: What becomes of it.
         drive: Name of the drive.
-        file: The program to start or to check.
+        file: The program to start, as TOML.
         contact: Broker.
     """
-    starts = action in ("start", "check")
-    if starts is (file is None):
-        needed = "needs a FILE" if starts else "takes no FILE"
+    if (action == "start") is (file is None):
+        needed = "needs a FILE" if file is None else "takes no FILE"
         return print_error("adaptdrive", f"program {action} {needed}", UNUSABLE)
-    if file is None:
-        return _ask(drive, "program", action, contact)
-    return _ask(drive, "program", read_program(file), contact, check=action == "check")
+    return _ask(drive, "program", action if file is None else read_program(file), contact)
+
+
+_STEP = re.compile(r"steps\[(\d+)\]")
+
+
+def read_program(path: Path) -> dict[str, Any]:
+    """Return the program of a TOML file as the daemon takes it; its name is that of the file.
+
+    Raises:
+        ConfigurationError: It cannot be read, or is no program; the step is named.
+    """
+    from adaptdrive.config.file import read_text  # noqa: PLC0415 - few commands need it
+
+    try:
+        found = {"name": path.stem, **tomllib.loads(read_text(path))}
+        program: dict[str, Any] = msgspec.to_builtins(msgspec.convert(found, Program))
+    except ValueError as problem:  # of TOML, or of the steps
+        flaw, _, place = str(problem).partition(" - at `$.")
+        named = _STEP.sub(lambda step: f"step {int(step[1]) + 1}", place.rstrip("`"))
+        raise ConfigurationError.of(path, named or "program", flaw) from problem
+    return program
 
 
 def pole(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:

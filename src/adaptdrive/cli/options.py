@@ -38,7 +38,7 @@ _COMMANDS = {
     "plot": (".analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
     "identify": (".analysis", "Identify the load from a session or a CSV file, with error bars."),
     "whatif": (".analysis", "Run a session again in closed loop with other settings."),
-    "health": (".health", "Show the load of a drive over the weeks: trend, changes, meaning."),
+    "health": (".sessions", "Show the load of a drive over the weeks: trend, changes, meaning."),
     "export": (
         ".analysis",
         "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP, or its model.",

@@ -1,7 +1,9 @@
 """Commands on recorded sessions: list, show, verify, prune; their events; the controller again."""
 
+import math
 import os
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,18 +11,21 @@ from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
+from adaptdrive.analysis import replay as replaying
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
+from adaptdrive.cli import options
 from adaptdrive.cli.explain import with_kind
 from adaptdrive.cli.options import Json, Settings, print_each, print_json, refusing
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.recording import log_files, overview, reader, retention, segments
-from adaptdrive.recording import replay as replaying
+from adaptdrive.recording import health as load_health
+from adaptdrive.recording import log_files, overview, reader, segments
 from adaptdrive.recording import session as folders
 from adaptdrive.recording.records import Keep, Kind
 from adaptdrive.runtime.reports import EVENT_KINDS
 from adaptdrive.safety.trips import kind_of, remedy
+from adaptdrive.util import files, trends
 from adaptdrive.util.errors import ConfigurationError, Flaw, RecordingError, escaped, nearest
 
 app = App(name="sessions")
@@ -173,7 +178,7 @@ def prune(
         as_json: Print JSON: a sentence for each removal.
     """
     keep = Keep(keep_days, None if keep_MB is None else round(keep_MB * 1e6))
-    removals = retention.prune(_folder(directory), keep, datetime.now(UTC))
+    removals = segments.prune(_folder(directory), keep, datetime.now(UTC))
     print_each(((sentence, sentence) for sentence in removals), as_json)
     if _folder(directory).is_dir():
         overview.update_index(_folder(directory))
@@ -226,7 +231,7 @@ def _left(path: Path) -> list[log_files.LogFile]:
 def _facts(path: Path, info: folders.SessionInfo) -> dict[str, Any]:
     return {
         "session": escaped(path.name),
-        "bytes": retention.size_of(path),
+        "bytes": segments.size_of(path),
         "trips": sorted(one.name for one in path.glob("trip-*")),
         "info": info,
     }
@@ -321,3 +326,55 @@ def _acts(text: str, source: Path, setting: str) -> bool:
     recorded = replaying.reconfigured(text, source, ())
     acting = [(controller_settings(one), build_load(one)) for one in (recorded, changed)]
     return acting[0] != acting[1]
+
+
+_check_weeks = refusing(lambda weeks: 0.0 < weeks < math.inf, "Weeks are a number above 0.")
+
+
+def health(
+    drive: options.DriveName,
+    /,
+    *,
+    weeks: Annotated[float, Parameter(validator=_check_weeks)] = 8.0,
+    plot: Path | None = None,
+    directory: Folder = None,
+) -> int:
+    """Show what the load of a drive was over the weeks: levels, trends, changes.
+
+    Args:
+        drive: Name of the drive.
+        weeks: Time over which trends and changes are sought.
+        plot: File for a figure, a PNG.
+        directory: Folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out.
+
+    Raises:
+        RecordingError: It has no hour.
+    """
+    path = load_health.health_path(_folder(directory), drive)
+    found = load_health.report(load_health.read_rows(path), weeks)
+    if found is None:
+        raise RecordingError(path, "it has no hour yet: one is added when its segment is closed")
+    print("\n".join(_condition(drive, found)))
+    if plot is not None:
+        with options.needing("analysis"):
+            from adaptdrive.analysis.figures import draw_health  # noqa: PLC0415 - it is large
+        files.replace_result(plot, draw_health(drive, found))
+        print(plot)
+    return 0
+
+
+def _condition(drive: str, found: trends.HealthReport) -> Iterator[str]:
+    fed = f"{found.running_h:.1f} h fed, {found.starts} starts"
+    yield f"{drive}: {fed}, until {found.time:%F %H:%M}Z"
+    yield f"{'quantity':<20}{'level':>22}{'change':>18}{'trend a week':>18}"
+    for name, one in found.quantities.items():
+        change = _percent(one.change_percent, one.change_std)
+        trend = _percent(one.trend_percent, one.trend_std)
+        mark = "  outside its bounds" if one.outside else ""
+        yield f"{name:<20}{f'{one.value:.5g} ± {one.std:.2g}':>22}{change:>18}{trend:>18}{mark}"
+    yield from (one.meaning for one in found.quantities.values() if one.meaning)
+    yield from (f"the bank of models decided: {one}" for one in found.changes)
+
+
+def _percent(value: float | None, std: float | None) -> str:
+    return "-" if value is None or std is None else f"{value:+.2f} ± {std:.2g} %"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.signal import freqz, lfilter
 from tomlkit.exceptions import TOMLKitError
 
+from adaptdrive.analysis.replay import reconfigured
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import read_text
@@ -28,7 +29,6 @@ from adaptdrive.control.loads.load import to_input
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification import proposed_model
 from adaptdrive.identification.result import IdentifiedLoad
-from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
 
 Array = NDArray[np.float64]

@@ -94,20 +94,16 @@ class Recording(section.Section):
 
 
 class Bound(section.Section):
-    """`[health.bounds.NAME]`: the range of one quantity of the load, at least one end of it."""
+    """`[health.bounds.NAME]`: the range of one quantity of the load."""
 
     min: section.FiniteFloat | None = None
     """lowest value"""
     max: section.FiniteFloat | None = None
     """highest value"""
-    relative: bool = False
-    """whether both are shares of the value that follows from `[load.model]`"""
 
     def flaws(self) -> Iterator[Flaw]:
-        """Yield a range without an end, or without a value in it."""
-        if self.min is None and self.max is None:
-            yield Flaw("", "has neither min nor max")
-        elif self.min is not None and self.max is not None and self.min >= self.max:
+        """Yield a range without a value in it."""
+        if self.min is not None and self.max is not None and self.min >= self.max:
             yield Flaw("max", f"{self.max:g} must be above min = {self.min:g}")
 
 

@@ -284,16 +284,9 @@ def program_text(state: Mapping[str, Any], drive: Mapping[str, Any]) -> str:
         state: Payload of `state`.
         drive: Payload of `telemetry/drive`.
     """
-    program = part(state, "program")
-    if not program:
-        return ""
-    name, step, steps, does, status, reason = (
-        printable(program.get(key)) for key in ("name", "step", "steps", "does", "status", "reason")
-    )
-    left_s = number(part(drive, "remaining").get("program_s"))
+    text, left_s = part(state, "program").get("text"), number(drive.get("remaining_s"))
     left = f", {timedelta(seconds=round(left_s))} left" if 0.0 <= left_s < _LONGEST_S else ""
-    rest = f": {reason}" if status == "ended" else left
-    return f"{name} {status}{rest}; step {step} of {steps}: {does}"
+    return f"{printable(text)}{left}" if text else ""
 
 
 def unconfirmed_stop(state: Mapping[str, Any]) -> str:

@@ -18,9 +18,9 @@ import msgspec
 from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.commands import STOP
 from adaptdrive.runtime import reports
-from adaptdrive.runtime.health import HealthReport
 from adaptdrive.safety.trips import TripKind, remedy
 from adaptdrive.util.quantity import BOOST, MEASURED, Given
+from adaptdrive.util.trends import HealthReport
 
 Range = tuple[float | None, float | None]
 """Lowest and highest value, None where there is no limit."""

@@ -20,8 +20,8 @@ import msgspec
 
 from adaptdrive.mqtt import contract
 from adaptdrive.runtime import reports
-from adaptdrive.runtime.health import HealthReport
 from adaptdrive.safety.trips import Trip, TripKind, remedy
+from adaptdrive.util.trends import HealthReport
 
 # Reports to publish: the present state, and queues of what was not published yet.
 

@@ -42,11 +42,7 @@ _DEVICE_CLASSES = {
 _LAST_TRIP = (  # a state in Home Assistant has at most 255 characters
     "{{ value_json.last_trip.text[:255] if value_json.last_trip else 'none' }}"
 )
-_PROGRAM = (
-    "{% set it = value_json.program %}{{ (it.name ~ ' ' ~ it.status ~ ', step ' ~ it.step ~ ' of ' "
-    "~ it.steps ~ ': ' ~ it.does)[:255] if it else 'none' }}"
-)
-_LEFT = "{{ value_json.remaining.program_s if value_json.remaining else None }}"
+_PROGRAM = "{{ value_json.program.text[:255] if value_json.program else 'none' }}"
 _ANSWER = (  # to a command of Home Assistant; that to another client's leaves it as it is
     "{% if (value_json.id | string).startswith('ha-') %}"
     "{{ 'none' if value_json.accepted else (value_json.verb ~ ': ' ~ value_json.reason)[:255] }}"
@@ -104,8 +100,8 @@ def _sensors(profile: contract.Profile, topics: contract.Topics) -> dict[str, co
         )
         | {"device_class": "enum", "options": [contract.NO_TRIP, *TripKind]},
         "program": _shown("program", topics.state, _PROGRAM),
-        "program_left": _measured("time left of the program", drive, "remaining", "s")
-        | {"value_template": _LEFT, "device_class": "duration"},
+        "program_left": _measured("time left of the program", drive, "remaining_s", "s")
+        | {"device_class": "duration"},
         "refused": _shown("refused command", topics.reply, _ANSWER),
         "last_trip": _shown("last trip", topics.state, _LAST_TRIP)
         | {

@@ -5,7 +5,7 @@
  * @typedef {{value: number|null, std: number|null}} Estimate
  * @typedef {{time: string, kind: string, text: string, remedy: string}} Trip
  * @typedef {{shape: string, low: number|null, high: number|null, period_s: number|null}} Waveform
- * @typedef {{name: string, step: number|null, steps: number|null, does: string, status: string, reason: string}} Program
+ * @typedef {{name: string, text: string}} Program
  * @typedef {{
  *   state: string, mode: string, controller: string, reason: string, enabled: boolean,
  *   setpoint: number|null, waveform: Waveform|null, pole: number|null, trip: string|null, trip_kind: string,
@@ -26,8 +26,7 @@
  * }} Fast
  * @typedef {{time: string, kind: string, severity: string, detail: string, remedy: string, trip_kind: string}} DriveEvent
  * @typedef {{timeS: number, output: number|null, boost_voltage_V: number|null, reference: number|null, asked_V: number|null}} Point
- * @typedef {{change: number|null, changeStd: number|null, trend: number|null, trendStd: number|null, since: string, step: number|null, stepStd: number|null, outside: boolean}} HealthOf
- * @typedef {{time: string, quantities: Record<string, HealthOf>, times: (number|null)[], courses: Record<string, (number|null)[]>}} Health
+ * @typedef {{time: string, quantities: Record<string, {meaning: string}>, times: (number|null)[], courses: Record<string, (number|null)[]>}} Health
  * @typedef {{timeS: number, kind: string, text: string}} Mark
  * @typedef {{rows: Load[], points: Point[]}} Past
  * @typedef {{id: string, accepted: boolean, reason: string}} Reply

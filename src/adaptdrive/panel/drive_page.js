@@ -140,9 +140,7 @@ const DrivePage = (() => {
   /** The program that runs, or has run last. @param {Program|null|undefined} program @param {number|null|undefined} leftS */
   function programRow(program, leftS) {
     if (!program) return [];
-    const { name, step, steps, does, status, reason } = program;
-    const value = status === "ended" ? `ended: ${reason}` : `${Dom.left(leftS)} left`;
-    return [[`program ${name}`, value, `step ${step} of ${steps}: ${does}${status === "paused" ? ", paused" : ""}`]];
+    return [[`program ${program.name}`, leftS == null ? "–" : `${Dom.left(leftS)} left`, program.text]];
   }
 
   /** How far a quantity is from its trip; marked where less than a tenth of the limit is left.

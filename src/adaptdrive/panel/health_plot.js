@@ -3,9 +3,7 @@
 
 const HealthPlot = (() => {
   const HEIGHT = 130;
-  const FIRST = 7; // days that count as 100 %
   const COLOURS = ["--series-1", "--series-2", "--text-soft"];
-  const SHOWN = ["inertia", "damping", "friction", "heat_capacity", "conductance", "heat_loss", "series_resistance", "resistance"];
 
   /** @param {HTMLElement} parent @param {DriveView} drive */
   function open(parent, drive) {
@@ -21,12 +19,12 @@ const HealthPlot = (() => {
       const health = drive.health;
       if (!health || health === drawn) return;
       drawn = health;
-      const names = SHOWN.filter((name) => health.courses[name]);
+      const names = Object.keys(health.courses);
       root.hidden = names.length === 0;
       if (root.hidden) return;
       chart?.destroy();
-      chart = new uPlot(options(names, frame.clientWidth), [health.times, ...names.map((name) => share(health.courses[name]))], frame);
-      Dom.say(meaning, names.map((name) => sentence(name, health.quantities[name])).filter(Boolean).join("; "));
+      chart = new uPlot(options(names, frame.clientWidth), [health.times, ...names.map((name) => health.courses[name])], frame);
+      Dom.say(meaning, Object.values(health.quantities).map((one) => one.meaning).filter(Boolean).join("; "));
     }
     return { draw, end() { resize.disconnect(); chart?.destroy(); } };
   }
@@ -40,21 +38,6 @@ const HealthPlot = (() => {
       points: { show: true, size: 3 }, value: (/** @type {any} */ _, /** @type {number|null} */ value) => Dom.number(value, "%", 3),
     });
     return { width: Math.max(200, width), height: HEIGHT, cursor: { drag: { x: false, y: false } }, axes: [axis, axis], series: [{}, ...names.map(line)] };
-  }
-
-  /** Values as changes since the mean of the first ones, in per cent. @param {(number|null)[]} course */
-  function share(course) {
-    const first = course.flatMap((one) => (one == null ? [] : [one])).slice(0, FIRST);
-    const base = first.reduce((sum, one) => sum + one, 0) / first.length;
-    return course.map((one) => (one == null || !base ? null : (100 * (one - base)) / Math.abs(base)));
-  }
-
-  /** @param {string} name @param {HealthOf|undefined} one */
-  function sentence(name, one) {
-    if (!one) return "";
-    const moved = (/** @type {number|null} */ value, /** @type {number|null} */ std) => `${Dom.number(value, "", 2)} ± ${Dom.number(std, "%", 1)}`;
-    const text = one.since ? `${moved(one.step, one.stepStd)} since ${one.since.slice(0, 10)}` : one.trend == null ? "" : `${moved(one.trend, one.trendStd)} a week`;
-    return text && `${name.replaceAll("_", " ")} ${text}${one.outside ? ", out of its bounds" : ""}`;
   }
 
   return { open };

@@ -42,9 +42,7 @@ const Payloads = (() => {
 
   /** @param {unknown} value @returns {Program|null} */
   function program(value) {
-    if (!isObject(value)) return null;
-    const { name, step, steps, does, status, reason } = value;
-    return { name: text(name), step: number(step), steps: number(steps), does: text(does), status: text(status), reason: text(reason) };
+    return isObject(value) ? { name: text(value.name), text: text(value.text) } : null;
   }
 
   /** @param {unknown} value @returns {Trip|null} */
@@ -87,7 +85,7 @@ const Payloads = (() => {
       load_power_W: number(raw.load_power_W), line_voltage_V: number(raw.line_voltage_V),
       age_s: number(raw.age_s), ticks: number(raw.ticks), missed: number(raw.missed), held: number(raw.held),
       lateness_us: { p99: number(lateness.p99), max: number(lateness.max) },
-      bus: map(raw.bus, number), bridge: fields(raw.command).bridge === true, left_s: number(fields(raw.remaining).program_s),
+      bus: map(raw.bus, number), bridge: fields(raw.command).bridge === true, left_s: number(raw.remaining_s),
       sensors: map(raw.sensors, (one) => ({ up: fields(one).up === true, detail: text(fields(one).detail) })),
     };
   }
@@ -110,16 +108,8 @@ const Payloads = (() => {
     const all = row(raw.times_s);
     const kept = all.flatMap((timeS, i) => (timeS !== null && timeS >= 0 && timeS > (all[i - 1] ?? -1) ? [i] : []));
     return {
-      time: text(raw.time), quantities: map(raw.quantities, (one) => quantity(fields(one))),
+      time: text(raw.time), quantities: map(raw.quantities, (one) => ({ meaning: text(fields(one).meaning) })),
       times: kept.map((i) => all[i]), courses: map(raw.courses, (one) => kept.map((i) => row(one)[i] ?? null)),
-    };
-  }
-
-  /** @param {Record<string, unknown>} raw @returns {HealthOf} */
-  function quantity(raw) {
-    return {
-      change: number(raw.change_percent), changeStd: number(raw.change_std), trend: number(raw.trend_percent), trendStd: number(raw.trend_std),
-      since: text(raw.since), step: number(raw.step_percent), stepStd: number(raw.step_std), outside: raw.outside === true,
     };
   }
 

@@ -18,24 +18,14 @@ from typing import ParamSpec, TypeVar
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import (
-    condition,
-    health,
-    log_files,
-    overview,
-    reader,
-    records,
-    retention,
-    segments,
-    session,
-)
+from adaptdrive.recording import health, log_files, overview, reader, records, segments, session
 from adaptdrive.recording.tables import NOTE_ROWS, table_schema, write_parquet
-from adaptdrive.runtime.health import HealthReport
 from adaptdrive.runtime.reports import MONOTONIC, Event, Severity
 from adaptdrive.runtime.timebase import BINS, bin_of
 from adaptdrive.safety.trips import ADVICES, kind_of, remedy
 from adaptdrive.util.errors import AdaptdriveError, RecordingError
 from adaptdrive.util.files import alone
+from adaptdrive.util.trends import HealthReport
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -285,7 +275,7 @@ def _archive(
             report(Severity.WARNING, f"health of session {directory.name}: {problem}")
     if logged.newest:
         keep = logged.header.keep
-        for sentence in retention.prune(directory.parent, keep, datetime.now(UTC), directory):
+        for sentence in segments.prune(directory.parent, keep, datetime.now(UTC), directory):
             report(Severity.INFO, sentence)
     _update_index(directory, report)
     return trips
@@ -300,17 +290,10 @@ def _update_index(directory: Path, report: Report) -> None:
 
 def _update_health(directory: Path, settings: records.HealthSettings, publish: Publish) -> None:
     """Add the rows of the health of a load, and publish it."""
-    rows = health.add_rows(directory, settings)
-    if crossed := condition.crossings(rows, settings):
-        for one in crossed:
-            severity = Severity.WARNING if one.row.outside else Severity.INFO
-            publish(Event("health", severity, one.text, -1))
-        new = [one.row for one in crossed]
-        path = health.health_path(directory.parent, session.read_info(directory).drive)
-        health.append_rows(path, new)
-        rows += new
-    if found := condition.report(rows, settings):
-        publish(found)
+    rows, events = health.update(directory, settings)
+    for one in (*events, health.report(rows)):
+        if one is not None:
+            publish(one)
 
 
 def _directory(logged: _Logged) -> Path | None:

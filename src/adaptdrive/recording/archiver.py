@@ -18,9 +18,9 @@ from pathlib import Path
 import msgspec
 
 from adaptdrive.recording.records import Pace
-from adaptdrive.runtime.health import HealthReport
 from adaptdrive.runtime.reports import Event, Severity
 from adaptdrive.util.clock import in_thread, now_s
+from adaptdrive.util.trends import HealthReport
 
 EVENT_KIND = "recording"
 """Kind of the events about the recorder itself."""

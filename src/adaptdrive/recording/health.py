@@ -7,15 +7,15 @@ sample that teaches brings 1 - ρ of what an estimate knows. An hour with n such
     max( mean of σ_k², 2 s² )
 
 with σ_k as shown at each slow step, and s² the variance of the estimates within the hour. A load
-that moves as predicted teaches nothing: its estimate is repeated, and counts as none. At rest
-nothing shows the load, and an hour has no value.
+that moves as predicted teaches nothing, and at rest nothing shows it: then an hour has no value.
 """
 
 import math
 import os
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import groupby, pairwise
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -28,26 +28,16 @@ from adaptdrive.control.loads.load import OFFSET, derived
 from adaptdrive.control.signals import Stage
 from adaptdrive.recording import records, segments, tables
 from adaptdrive.recording.session import Ending, SessionInfo, TableName, read_info
+from adaptdrive.runtime.reports import Event, Severity
 from adaptdrive.util import trends
 
 HOUR_S = 3600.0
 
-
-class Mean(msgspec.Struct, frozen=True, array_like=True):
-    """A weighted mean over an hour.
-
-    Attributes:
-        value: The mean.
-        std: Standard deviation of one estimate.
-        count: Independent estimates behind it.
-    """
-
-    value: float
-    std: float
-    count: float
+Mean = tuple[float, float]
+"""A mean over an hour, and its standard deviation."""
 
 
-class HourRow(msgspec.Struct, frozen=True, tag="hour", tag_field="row"):
+class HourRow(msgspec.Struct, frozen=True):
     """An hour of a session.
 
     Attributes:
@@ -57,6 +47,7 @@ class HourRow(msgspec.Struct, frozen=True, tag="hour", tag_field="row"):
         starts: How often that began.
         means: Quantities that it has shown, by name.
         changes: What has changed, as the bank of models decided.
+        outside: Quantities that have left their bounds and not come back.
     """
 
     time: datetime
@@ -65,23 +56,7 @@ class HourRow(msgspec.Struct, frozen=True, tag="hour", tag_field="row"):
     starts: int
     means: dict[str, Mean]
     changes: tuple[str, ...] = ()
-
-
-class BoundRow(msgspec.Struct, frozen=True, tag="bound", tag_field="row"):
-    """A crossing of a bound of `[health]`.
-
-    Attributes:
-        time: Begin of the hour with which it was found.
-        name: The quantity.
-        outside: Whether it has left its bounds.
-    """
-
-    time: datetime
-    name: str
-    outside: bool
-
-
-Row = HourRow | BoundRow
+    outside: tuple[str, ...] = ()
 
 
 def health_path(sessions: Path, drive: str) -> Path:
@@ -89,28 +64,25 @@ def health_path(sessions: Path, drive: str) -> Path:
     return sessions / f"{drive}.health.jsonl"
 
 
-def read_rows(path: Path) -> list[Row]:
+def read_rows(path: Path) -> list[HourRow]:
     """Return the rows of a file by their times, none without one; torn lines are left out."""
-    rows: list[Row] = []
+    rows: list[HourRow] = []
     for line in path.read_bytes().splitlines() if path.exists() else ():
         try:
-            rows.append(msgspec.json.decode(line, type=Row))
+            rows.append(msgspec.json.decode(line, type=HourRow))
         except (msgspec.DecodeError, UnicodeDecodeError):
             continue
     return sorted(rows, key=attrgetter("time"))
 
 
-def append_rows(path: Path, rows: Sequence[Row]) -> None:
+def append_rows(path: Path, rows: Sequence[HourRow]) -> None:
     """Append rows to a file, after a torn line on one of their own.
 
     Raises:
         OSError: They cannot be written.
     """
-    with path.open("ab+") as file:
-        file.seek(max(0, file.tell() - 1))
-        torn = file.read() not in {b"", b"\n"}
-        content = b"".join(msgspec.json.encode(one) + b"\n" for one in rows)
-        file.write(b"\n" + content if torn else content)
+    with path.open("ab") as file:
+        file.write(b"".join(b"\n" + msgspec.json.encode(one) for one in rows))
         file.flush()
         os.fsync(file.fileno())
 
@@ -119,49 +91,7 @@ def append_rows(path: Path, rows: Sequence[Row]) -> None:
 
 _COLUMNS = ("utc", "period_s", "stage", "accepted", "excitation", "estimates", "change")
 
-_DIGITS = 8
-
-
-@dataclass
-class _Sum:
-    """Sums over the estimates of one quantity in an hour, as differences from the first."""
-
-    first: float = math.nan
-    count: int = 0
-    taught: int = 0
-    weight: float = 0.0
-    moment: float = 0.0
-    square: float = 0.0
-
-    def add(self, value: float, std: float, *, teaches: bool) -> None:
-        if self.count == 0:
-            self.first = value
-        weight, moved = 1.0 / (std * std), value - self.first
-        self.count += 1
-        self.taught += teaches
-        self.weight += weight
-        self.moment += weight * moved
-        self.square += weight * moved * moved
-
-    def mean(self, share: float) -> Mean:
-        moved = self.moment / self.weight
-        variance = max(0.0, self.square / self.weight - moved * moved)
-        std = math.sqrt(max(self.count / self.weight, 2.0 * variance))
-        return Mean(_rounded(self.first + moved), _rounded(std), _rounded(share * self.taught))
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
-
-
-@dataclass
-class _Hour:
-    """What an hour of a session has shown so far."""
-
-    running_s: float = 0.0
-    starts: int = 0
-    sums: dict[str, _Sum] = field(default_factory=dict)
-    changes: list[str] = field(default_factory=list)
+Step = Mapping[str, Any]
 
 
 def session_rows(
@@ -178,28 +108,132 @@ def session_rows(
     Raises:
         RecordingError: Its slow steps cannot be read.
     """
-    hours: dict[datetime, _Hour] = {}
-    fed, now = False, None
-    for step in _steps(directory, info, after):
-        time: datetime = step["utc"]
-        now = time.replace(minute=0, second=0, microsecond=0)
-        hour = hours.setdefault(now, _Hour())
-        before, fed = fed, step["stage"] == Stage.RUN
-        hour.running_s += step["period_s"] if fed else 0.0
-        hour.starts += fed and not before
-        _add(hour, step, settings)
-    if info.ended is Ending.OPEN and now is not None:
-        hours.pop(now)
-    found = ((time, hour) for time, hour in hours.items() if after is None or time > after)
-    return [_row(time, info.started, hour, settings) for time, hour in found]
+    rows, fed = list[HourRow](), False
+    for time, group in groupby(_steps(directory, info, after), _hour):
+        steps = list(group)
+        states = [fed, *(one["stage"] == Stage.RUN for one in steps)]
+        fed = states[-1]
+        running_s = math.fsum(one["period_s"] for one in steps if one["stage"] == Stage.RUN)
+        starts = sum(now and not before for before, now in pairwise(states))
+        changes = tuple(one["change"] for one in steps if one["change"])
+        means = _means(steps, settings)
+        rows.append(HourRow(time, info.started, running_s / HOUR_S, starts, means, changes))
+    if info.ended is Ending.OPEN:
+        rows = rows[:-1]
+    return [one for one in rows if after is None or one.time > after]
 
 
-def add_rows(directory: Path, settings: records.HealthSettings) -> list[Row]:
-    """Append the rows that a session has more than the file of its drive; return all of that.
+def _hour(step: Step) -> datetime:
+    time: datetime = step["utc"]
+    return time.replace(minute=0, second=0, microsecond=0)
+
+
+def _steps(directory: Path, info: SessionInfo, after: datetime | None) -> Iterator[Step]:
+    """Yield the archived slow steps of a session, but for files that were closed before a time."""
+    whole = tables.table_schema(TableName.SLOW, info)
+    schema: dict[str, pa.Schema] = {
+        TableName.SLOW: pa.schema([whole.field(name) for name in _COLUMNS])
+    }
+    for segment in segments.segments(directory, None, (TableName.SLOW,)):
+        if after is None or segment.path.stat().st_mtime > after.timestamp():
+            for _, batch in segment.rows(schema):
+                yield from (one for one in batch.to_pylist() if one["utc"] is not None)
+
+
+def _means(steps: Iterable[Step], settings: records.HealthSettings) -> dict[str, Mean]:
+    samples = defaultdict[str, list[Mean]](list)
+    for step in steps:
+        for name, shown in _shown(step, settings).items():
+            samples[name].append(shown)
+    return {name: _mean(found, settings.share) for name, found in samples.items()}
+
+
+def _mean(samples: Sequence[Mean], share: float) -> Mean:
+    points = [trends.Point(0.0, *one) for one in samples]
+    count, (value, std) = len(samples), trends.mean(points)
+    scatter = math.fsum(((one - value) / own) ** 2 for one, own in samples) * std * std
+    return value, math.sqrt(max(count * std * std, 2.0 * scatter) / (share * count))
+
+
+def _shown(step: Step, settings: records.HealthSettings) -> dict[str, Mean]:
+    """Return the quantities that a slow step teaches, with their deviations; none at rest."""
+    pairs = {one["name"]: (one["value"], one["std"]) for one in step["estimates"] or ()}
+    found = {name: pair for name, pair in pairs.items() if all(map(math.isfinite, pair))}
+    values = {name: value for name, (value, _) in found.items()}
+    shares = {name: std / abs(value) for name, (value, std) in found.items() if value}
+    lags = (share for name, share in shares.items() if name.startswith("tau_"))
+    teaches = step["accepted"] and step["excitation"] > settings.least_excitation
+    if not teaches or min(lags, default=math.inf) >= thresholds.PRIOR_SHARE:
+        return {}
+    for name, value in derived(settings.products, settings.loss, values).items():
+        powers = settings.products.get(name, {})
+        own = abs(value) * sum(shares[one] * abs(power) for one, power in powers.items())
+        found[name] = value, found[OFFSET][1] if name == settings.loss else own
+    offsets = {OFFSET, settings.loss}
+    return {
+        name: (value, std)
+        for name, (value, std) in found.items()
+        if std > 0.0 and (name in offsets or std <= thresholds.PRIOR_SHARE * abs(value))
+    }
+
+
+def points(rows: Iterable[HourRow]) -> dict[str, list[trends.Point]]:
+    """Return the courses of the quantities: a point in the middle of each hour that shows them."""
+    found = defaultdict[str, list[trends.Point]](list)
+    for row in rows:
+        for name, shown in row.means.items():
+            time_s = row.time.astimezone(UTC).timestamp() + 0.5 * HOUR_S
+            found[name].append(trends.Point(time_s, *shown))
+    return found
+
+
+# What the rows say: the report, and the bounds that were crossed.
+
+
+def report(rows: Sequence[HourRow], weeks: float = 8.0) -> trends.HealthReport | None:
+    """Return the condition of a load, None before the first hour.
+
+    Args:
+        rows: Its rows.
+        weeks: Time over which trends and changes are sought and shown.
+    """
+    if not rows:
+        return None
+    since_s = rows[-1].time.timestamp() - weeks * trends.WEEK_S
+    courses = {name: trends.daily(found) for name, found in points(rows).items()}
+    shown = {name: trends.shares(courses[name]) for name in trends.MEANINGS if name in courses}
+    times_s = sorted({one for found in shown.values() for one in found if one >= since_s})
+    changed = ((row.time, dict.fromkeys(row.changes)) for row in rows if row.changes)
+    return trends.HealthReport(
+        time=rows[-1].time,
+        running_h=round(math.fsum(one.running_h for one in rows), 3),
+        starts=sum(one.starts for one in rows),
+        quantities={
+            name: trends.condition(name, found, since_s, outside=name in rows[-1].outside)
+            for name, found in courses.items()
+        },
+        times_s=tuple(times_s),
+        courses={name: tuple(map(found.get, times_s)) for name, found in shown.items()},
+        changes=tuple(f"{at:%Y-%m-%dT%H}Z {', '.join(what)}" for at, what in changed)[-7:],
+    )
+
+
+_PATIENCE_S = 4.0 * trends.WEEK_S
+_KNOWN_DAYS = 10
+"""Days with an estimate, of four weeks, before a bound can be left."""
+
+_MOST_HOURS = round((_PATIENCE_S + trends.DAY_S) / HOUR_S)
+
+
+def update(directory: Path, settings: records.HealthSettings) -> tuple[list[HourRow], list[Event]]:
+    """Append the rows that a session has more than the file of its drive.
 
     Args:
         directory: Directory of the session.
-        settings: What gives its estimates their meaning.
+        settings: What gives its estimates their meaning, and the bounds.
+
+    Returns:
+        All rows of the drive, and the bounds that were crossed.
 
     Raises:
         RecordingError: The session cannot be read.
@@ -207,82 +241,62 @@ def add_rows(directory: Path, settings: records.HealthSettings) -> list[Row]:
     """
     info = read_info(directory)
     path = health_path(directory.parent, info.drive)
-    known = read_rows(path)
-    own = [one.time for one in known if isinstance(one, HourRow) and one.session == info.started]
-    if new := session_rows(directory, info, settings, max(own, default=None)):
-        append_rows(path, new)
-    return [*known, *new]
+    rows = read_rows(path)
+    own = [one.time for one in rows if one.session == info.started]
+    new = session_rows(directory, info, settings, max(own, default=None))
+    if not new:
+        return rows, []
+    outside, events = crossings([*rows, *new], rows[-1].outside if rows else (), settings)
+    new = [msgspec.structs.replace(one, outside=outside) for one in new]
+    append_rows(path, new)
+    return [*rows, *new], events
 
 
-def _row(
-    time: datetime, started: datetime, hour: _Hour, settings: records.HealthSettings
-) -> HourRow:
-    means = {name: one.mean(settings.share) for name, one in hour.sums.items()}
-    running_h = _rounded(hour.running_s / HOUR_S)
-    return HourRow(time, started, running_h, hour.starts, means, tuple(hour.changes))
+def crossings(
+    rows: Sequence[HourRow], before: Sequence[str], settings: records.HealthSettings
+) -> tuple[tuple[str, ...], list[Event]]:
+    """Return the quantities that are outside their bounds, and an event for each that crossed one.
+
+    A bound counts as left where the mean of the last seven complete days is beyond it by six
+    standard deviations, and as kept again where it is within it by as many.
+
+    Args:
+        rows: Rows of the drive, the newest of a day that is not complete.
+        before: Quantities that were outside.
+        settings: The bounds.
+    """
+    courses, outside, events = points(rows[-_MOST_HOURS:]), list[str](), list[Event]()
+    for name, (low, high) in settings.bounds.items():
+        is_outside = was_outside = name in before
+        if (level := bound_level(courses.get(name, []))) is not None:
+            value, margin = level[0], trends.SIGMAS * level[1]
+            kept = low + margin <= value <= high - margin
+            left = not low - margin <= value <= high + margin
+            is_outside = left or (was_outside and not kept)
+            if is_outside != was_outside:
+                severity = Severity.WARNING if is_outside else Severity.INFO
+                events.append(Event("health", severity, _sentence(name, level, (low, high)), -1))
+        outside += [name] if is_outside else []
+    return tuple(outside), events
 
 
-def _steps(directory: Path, info: SessionInfo, after: datetime | None) -> Iterator[dict[str, Any]]:
-    """Yield the archived slow steps of a session, from one before the end of an hour on."""
-    table = TableName.SLOW
-    whole = tables.table_schema(table, info)
-    schema: dict[str, pa.Schema] = {table: pa.schema([whole.field(name) for name in _COLUMNS])}
-    found = segments.segments(directory, None, (table,))
-    first = 0
-    if after is not None:
-        earlier = (
-            place for place in reversed(range(len(found))) if _begins(found[place], schema, after)
-        )
-        first = next(earlier, 0)
-    for segment in found[first:]:
-        for _, batch in segment.rows(schema):
-            yield from (one for one in batch.to_pylist() if one["utc"] is not None)
+def bound_level(points: Sequence[trends.Point]) -> Mean | None:
+    """Return the mean of the last seven complete days and its deviation; None where few are known.
+
+    Args:
+        points: The hours, the newest of which is of a day that is not complete.
+    """
+    today_s = trends.DAY_S * (points[-1].time_s // trends.DAY_S) if points else math.nan
+    days = trends.daily(one for one in points if today_s - _PATIENCE_S <= one.time_s < today_s)
+    line = trends.fit_line(days)
+    if line is None or len(days) < _KNOWN_DAYS:
+        return None
+    return trends.mean(days[-trends.DAYS :], line.factor)
 
 
-def _begins(segment: segments.Segment, schema: dict[str, Any], time: datetime) -> bool:
-    """Return whether a segment begins no later than a time."""
-    begin = next((batch.column("utc")[0].as_py() for _, batch in segment.rows(schema)), None)
-    return begin is not None and begin <= time
-
-
-def _add(hour: _Hour, step: Mapping[str, Any], settings: records.HealthSettings) -> None:
-    """Add the estimates of a slow step that shows the load, and what has changed in it."""
-    if step["change"]:
-        hour.changes.append(step["change"])
-    estimates = {one["name"]: (one["value"], one["std"]) for one in step["estimates"] or ()}
-    known = {name: pair for name, pair in estimates.items() if all(map(math.isfinite, pair))}
-    values = {name: value for name, (value, _) in known.items()}
-    shares = {name: std / abs(value) for name, (value, std) in known.items() if value}
-    if not (step["accepted"] and _shows_load(shares)):
-        return
-    teaches = step["excitation"] > settings.least_excitation
-    powers = {one.name: one.powers for one in settings.products}
-    every = values | derived(settings.products, settings.loss, values)
-    for name, value in every.items():
-        parts = powers.get(name, ((name, 1),))
-        std = abs(value) * sum(shares.get(one, 0.0) * abs(power) for one, power in parts)
-        if name in {OFFSET, settings.loss}:
-            std = known[OFFSET][1]
-        elif std > thresholds.PRIOR_SHARE * abs(value):
-            continue
-        if std > 0.0:
-            hour.sums.setdefault(name, _Sum()).add(value, std, teaches=teaches)
-
-
-def _shows_load(shares: Mapping[str, float]) -> bool:
-    """Return whether a time constant is known: none is once nothing has shown the load."""
-    lags = (share for name, share in shares.items() if name.startswith("tau_"))
-    return min(lags, default=math.inf) < thresholds.PRIOR_SHARE
-
-
-def points(rows: Iterable[Row]) -> dict[str, list[trends.Point]]:
-    """Return the courses of the quantities: a point in the middle of each hour that shows them."""
-    found: dict[str, list[trends.Point]] = {}
-    for row in rows:
-        if isinstance(row, HourRow):
-            time_s = row.time.astimezone(UTC).timestamp() + 0.5 * HOUR_S
-            for name, one in row.means.items():
-                found.setdefault(name, []).append(
-                    trends.Point(time_s, one.value, one.std, one.count)
-                )
-    return found
+def _sentence(name: str, level: Mean, bounds: tuple[float, float]) -> str:
+    (value, std), (low, high) = level, bounds
+    limit = f"above its bound of {high:.4g}" if value > high else "within its bounds again"
+    limit = f"below its bound of {low:.4g}" if value < low else limit
+    what = f"{trends.MEANINGS.get(name, name)}: {name} = {value:.5g} ± {std:.2g}"
+    return f"{what}, over the last {trends.DAYS} days, {limit}"

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording import retention, segments, session, tables
+from adaptdrive.recording import segments, session, tables
 from adaptdrive.recording.records import CommandRow, EventRow
 from adaptdrive.runtime.reports import MONOTONIC
 from adaptdrive.util.errors import NOT_JSON, RecordingError
@@ -372,7 +372,7 @@ def _entry(directory: Path) -> Entry:
     info = session.read_info(directory)
     found = refresh(directory, info)
     trips = [_trip(path) for path in sorted(directory.glob(f"{session.TRIP_PREFIX}*"))]
-    size = retention.size_of(directory)
+    size = segments.size_of(directory)
     facts = directory.name, info.drive, info.started, info.ended, found.end, size
     return Entry(*facts, tuple(filter(None, trips)))
 

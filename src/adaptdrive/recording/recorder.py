@@ -15,7 +15,7 @@ import msgspec
 from adaptdrive.recording import archiver, log_files, records, session
 from adaptdrive.recording.log import SYNC, Clock, Log
 from adaptdrive.runtime import reports
-from adaptdrive.runtime.health import HealthReport
+from adaptdrive.util.trends import HealthReport
 
 STOPPED = "recording has stopped, control continues"
 UNBEGUN = "nothing is recorded, control continues"

@@ -20,7 +20,7 @@ from typing import Any
 
 import msgspec
 
-from adaptdrive.control.loads.load import Product
+from adaptdrive.control.loads.load import Products
 from adaptdrive.recording.session import SessionInfo
 from adaptdrive.runtime import reports
 from adaptdrive.safety.trips import kind_of
@@ -128,16 +128,14 @@ class HealthSettings(msgspec.Struct, frozen=True):
             parameters.
         share: 1 - ρ, what a sample brings of what an estimate knows.
         least_excitation: rᵀPr above which a sample teaches.
-        nominal: Quantities of the nominal model, by name.
-        bounds: Lowest and highest value of quantities, None where there is no limit.
+        bounds: Lowest and highest value of quantities, infinite where there is no limit.
     """
 
-    products: tuple[Product, ...] = ()
+    products: Products = {}
     loss: str = ""
     share: float = 1.0
     least_excitation: float = 0.0
-    nominal: dict[str, float] = {}
-    bounds: dict[str, tuple[float | None, float | None]] = {}
+    bounds: dict[str, tuple[float, float]] = {}
 
 
 @dataclass(frozen=True, slots=True)

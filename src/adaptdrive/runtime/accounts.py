@@ -109,7 +109,7 @@ def drive_report(
     bus: PortStatistics,
     sensors: tuple[reports.SensorReport, ...],
     now_s: float,
-    remaining: requests.ProgramTimes | None = None,
+    remaining_s: float | None = None,
 ) -> reports.DriveReport:
     """Measurement, command and the counts of the fast loop; its windows of time begin anew.
 
@@ -118,7 +118,7 @@ def drive_report(
         bus: Counts of the port; what the loop withheld from it is added to its own.
         sensors: State of the sensor buses.
         now_s: Monotonic time.
-        remaining: What is left of the program that runs.
+        remaining_s: Least time to the end of the program that runs.
     """
     return reports.DriveReport(
         measurement=fast.measurement,
@@ -139,7 +139,7 @@ def drive_report(
             "tick_us": fast.tick_time.histogram,
         },
         time_s=now_s,
-        remaining=remaining,
+        remaining_s=remaining_s,
     )
 
 
@@ -343,8 +343,8 @@ class Announcer:
             self._report_state(report, last)
         elif report.controller is not last.controller:
             self._report_controller(report, last)
-        if report.program != last.program:
-            self.publish_event("program", reports.Severity.INFO, str(report.program))
+        if report.program is not None and report.program != last.program:
+            self.publish_event("program", reports.Severity.INFO, report.program.text)
 
     def report_bus(self, *, up: bool, detail: str) -> None:
         """Publish the loss or the return of the bus."""

@@ -349,7 +349,7 @@ class Daemon:
                 self._port.statistics,
                 self._sensors(),
                 self._clock(),
-                self._programs.remaining(self._fast.tick),
+                self._programs.remaining_s(self._fast.tick),
             )
             self._hub.publish(report)
             self._watch_refusals(report)

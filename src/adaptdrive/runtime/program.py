@@ -5,11 +5,10 @@ where it is, and nothing takes it up again.
 """
 
 import math
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Literal
 
-from adaptdrive.control.signals import Mode, Waveform
+from adaptdrive.control.signals import Mode
 from adaptdrive.runtime import requests
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import End, Program, Step, Turn
@@ -17,14 +16,7 @@ from adaptdrive.runtime.settings import AskedReference, MachineLimits, require_p
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.errors import RefusedError
 
-T = TypeVar("T")
-
-_BY_HAND = (
-    requests.SetSetpoint,
-    requests.SetWaveform,
-    requests.SetMode,
-    requests.SetVoltage,
-)
+_BY_HAND = requests.SetSetpoint | requests.SetWaveform | requests.SetMode | requests.SetVoltage
 """Requests that would move what a program moves."""
 
 
@@ -47,10 +39,9 @@ def _described(step: Step, unit: str) -> str:
         case requests.RampTo(to, slope):
             way = "" if slope is None else f" at {slope:g} {unit}/s"
             return f"ramp to {to:g} {unit}{way}"
-        case requests.HoldFor(for_s):
-            return f"hold for {for_s:g} s"
-        case requests.Settle(within, for_s):
-            return f"hold until within {within:g} {unit} for {for_s:g} s"
+        case requests.HoldFor(for_s, within):
+            near = "" if within is None else f" until within {within:g} {unit}"
+            return f"hold{near} for {for_s:g} s"
         case requests.WaveFor(shape, low, high, period_s, for_s):
             return f"{shape} {low:g} to {high:g} {unit}, period {period_s:g} s, for {for_s:g} s"
         case requests.Choose(mode):
@@ -68,14 +59,6 @@ def _level_after(step: Step, level: float) -> float:
             return level
 
 
-def _refusal(require: Callable[[str, T], None], what: str, value: T) -> Iterator[str]:
-    """Yield the reason for which a value is refused, if it is."""
-    try:
-        require(what, value)
-    except RefusedError as problem:
-        yield problem.reason
-
-
 @dataclass(slots=True)
 class _Run:
     """A program and where it is.
@@ -83,18 +66,14 @@ class _Run:
     Attributes:
         program: What runs.
         number: Its present step, from 0.
-        began_tick: When that step began, later by each pause.
-        near_tick: Since when the output has been near the reference.
-        after_s: Least time of the steps that follow.
+        since_tick: Since when its time counts, later by each pause.
         held: Tick of the pause, and the reference that goes on after it; None while it runs.
         reason: Why it has ended; empty before.
     """
 
     program: Program
     number: int = 0
-    began_tick: int = 0
-    near_tick: int = 0
-    after_s: float = 0.0
+    since_tick: int = 0
     held: tuple[int, AskedReference] | None = None
     reason: str = ""
 
@@ -135,32 +114,27 @@ class Programs:
         self._active()
         if (run := self._run) is None:
             return None
-        return requests.ProgramReport(
-            name=run.program.name,
-            step=run.number + 1,
-            steps=len(run.program.steps),
-            does=_described(run.step, self._limits.load.output_unit),
-            status=run.status,
-            reason=run.reason,
-            end=run.program.end,
-        )
+        name, step, steps = run.program.name, run.number + 1, len(run.program.steps)
+        does = _described(run.step, self._limits.load.output_unit)
+        status = f"{run.status}: {run.reason}" if run.reason else run.status
+        text = f"{name} {status}, step {step} of {steps}: {does}"
+        return requests.ProgramReport(name, step, steps, run.status, run.reason, text)
 
-    def remaining(self, tick: int) -> requests.ProgramTimes | None:
-        """Return what is left of the program that runs, None without one."""
+    def remaining_s(self, tick: int) -> float | None:
+        """Return the least time to the end of the program that runs, None without one."""
         if (run := self._active()) is None:
             return None
-        now = tick if run.held is None else run.held[0]
-        match run.step:
-            case requests.Choose():
-                left_s = 0.0
-            case requests.RampTo():
-                left_s = self._way_s(run.step, self.machine.reference(tick))
-            case requests.Settle(_, for_s):
-                left_s = for_s - (now - run.near_tick) * self._tick_s
-            case requests.HoldFor(for_s) | requests.WaveFor(for_s=for_s):
-                left_s = for_s - (now - run.began_tick) * self._tick_s
-        left_s = max(0.0, left_s)
-        return requests.ProgramTimes(left_s, left_s + run.after_s)
+        least_s, level = 0.0, self.machine.reference(tick)
+        for step in run.program.steps[run.number :]:
+            if isinstance(step, requests.RampTo):
+                least_s += abs(step.to - level) / self._limits.slope(step.slope)
+            elif not isinstance(step, requests.Choose):
+                least_s += step.for_s
+            level = _level_after(step, level)
+        if isinstance(run.step, requests.HoldFor | requests.WaveFor):
+            now = tick if run.held is None else run.held[0]
+            least_s -= (now - run.since_tick) * self._tick_s
+        return max(0.0, least_s)
 
     def refuse_by_hand(self, request: requests.Request) -> None:
         """Refuse what would move the reference of a program, while one runs or is paused.
@@ -173,7 +147,7 @@ class Programs:
             raise RefusedError(f"program {name!r} is {run.status}: stop it before {request.verb}")
 
     def carry_out(self, request: requests.RunProgram, tick: int, output: float) -> None:
-        """Check or start a program, or turn the one that runs.
+        """Check and start a program, or turn the one that runs.
 
         Args:
             request: What is asked.
@@ -186,8 +160,7 @@ class Programs:
         asked = request.value
         if isinstance(asked, Program):
             self._check(asked)
-            if not request.check:
-                self._start(asked, tick, output)
+            self._start(asked, tick, output)
         elif (run := self._active()) is None:
             raise RefusedError("no program runs")
         else:
@@ -217,26 +190,25 @@ class Programs:
         return run
 
     def _check(self, program: Program) -> None:
-        """Refuse a program with the reason of every step that cannot be carried out."""
-        reasons = [
-            reason
-            for number, step in enumerate(program.steps, 1)
-            for reason in self._flaws(f"step {number}:", step)
-        ]
-        if reasons:
-            raise RefusedError("; ".join(reasons))
+        """Refuse a program with the first step that cannot be carried out."""
+        for number, step in enumerate(program.steps, 1):
+            try:
+                self._require(step)
+            except RefusedError as problem:
+                raise RefusedError(f"step {number}: {problem.reason}") from problem
 
-    def _flaws(self, place: str, step: Step) -> Iterator[str]:
+    def _require(self, step: Step) -> None:
+        reach = self.machine.reach
         match step:
             case requests.RampTo(to, slope):
-                yield from _refusal(self._require_setpoint, f"{place} ramp to", to)
-                yield from _refusal(require_positive, f"{place} slope", slope)
-            case requests.Settle(within):
-                yield from _refusal(require_positive, f"{place} within", within)
+                self._limits.require_setpoint("ramp to", to, reach)
+                require_positive("slope", slope)
+            case requests.HoldFor(for_s, within):
+                require_positive("for_s", for_s)
+                require_positive("within", within)
             case requests.WaveFor():
-                yield from _refusal(self._require_waveform, f"{place} waveform", step.waveform)
-        if isinstance(step, requests.HoldFor | requests.Settle | requests.WaveFor):
-            yield from _refusal(require_positive, f"{place} for_s", step.for_s)
+                self._limits.require_waveform("waveform", step.waveform, reach)
+                require_positive("for_s", step.for_s)
 
     def _start(self, program: Program, tick: int, output: float) -> None:
         if (active := self._active()) is not None:
@@ -265,8 +237,7 @@ class Programs:
             return
         paused_tick, asked = run.held
         self.machine.asked = asked.later(tick - paused_tick)
-        run.began_tick += tick - paused_tick
-        run.near_tick += tick - paused_tick
+        run.since_tick += tick - paused_tick
         run.held = None
 
     def _hold(self, tick: int, output: float) -> None:
@@ -286,10 +257,8 @@ class Programs:
             self._hold(tick, output)
 
     def _begin_step(self, run: _Run, tick: int, output: float) -> None:
-        level = _level_after(run.step, self.machine.reference(tick))
         self.machine.carry_out(_order_of(run.step), tick, output, None)
-        run.began_tick = run.near_tick = tick
-        run.after_s = self._least_s(run.program.steps[run.number + 1 :], level)
+        run.since_tick = tick
 
     def _end(self, end: End, tick: int, output: float) -> None:
         if end is End.DISABLE:
@@ -301,41 +270,15 @@ class Programs:
             self._hold(tick, output)
 
     def _is_over(self, run: _Run, tick: int, output: float) -> bool:
-        machine = self.machine
+        machine, step = self.machine, run.step
+        runs = machine.state is State.RUNNING
         if run.held is not None:
             return False
-        match run.step:
-            case requests.Choose():
-                return True
-            case requests.RampTo():
-                return machine.asked.ramp is None and machine.state is State.RUNNING
-            case requests.Settle(within, for_s):
-                error, runs = output - machine.reference(tick), machine.state is State.RUNNING
-                if not (runs and abs(error) <= within):
-                    run.near_tick = tick
-                return self._passed(tick - run.near_tick, for_s)
-            case requests.HoldFor(for_s) | requests.WaveFor(for_s=for_s):
-                return self._passed(tick - run.began_tick, for_s)
-
-    def _passed(self, ticks: int, time_s: float) -> bool:
-        return ticks >= math.ceil(time_s / self._tick_s)
-
-    def _way_s(self, ramp: requests.RampTo, level: float) -> float:
-        return abs(ramp.to - level) / self._limits.slope(ramp.slope)
-
-    def _least_s(self, steps: tuple[Step, ...], level: float) -> float:
-        """Return the least time of steps that begin at a level."""
-        least_s = 0.0
-        for step in steps:
-            if isinstance(step, requests.RampTo):
-                least_s += self._way_s(step, level)
-            elif not isinstance(step, requests.Choose):
-                least_s += step.for_s
-            level = _level_after(step, level)
-        return least_s
-
-    def _require_setpoint(self, what: str, value: float) -> None:
-        self._limits.require_setpoint(what, value, self.machine.reach)
-
-    def _require_waveform(self, what: str, waveform: Waveform) -> None:
-        self._limits.require_waveform(what, waveform, self.machine.reach)
+        if isinstance(step, requests.Choose):
+            return True
+        if isinstance(step, requests.RampTo):
+            return machine.asked.ramp is None and runs
+        if isinstance(step, requests.HoldFor) and step.within is not None:
+            near = runs and abs(output - machine.reference(tick)) <= step.within
+            run.since_tick = run.since_tick if near else tick
+        return tick - run.since_tick >= math.ceil(step.for_s / self._tick_s)

@@ -14,12 +14,12 @@ from typing import Annotated, Any, Generic, TypeVar
 
 from adaptdrive.control import signals
 from adaptdrive.control.signals import UNKNOWN, Reach
-from adaptdrive.runtime.health import HealthReport
-from adaptdrive.runtime.requests import ProgramReport, ProgramTimes
+from adaptdrive.runtime.requests import ProgramReport
 from adaptdrive.runtime.timebase import NO_TIMES, Quantiles
 from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import escaped
 from adaptdrive.util.quantity import Quantity, columns_of
+from adaptdrive.util.trends import HealthReport
 
 # Reports of the runtime: immutable snapshots, never live objects.
 
@@ -170,7 +170,7 @@ class DriveReport:
         limited: Commands that were held to a limit of `[drive.limits]` since the start.
         histograms: Counts of all lateness, turn-around and tick times since the start, by bin.
         time_s: Monotonic time of the report.
-        remaining: What is left of the program that runs, None without one.
+        remaining_s: Least time to the end of the program that runs, None without one.
     """
 
     measurement: signals.Measurement | None
@@ -187,7 +187,7 @@ class DriveReport:
     limited: int = 0
     histograms: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     time_s: float = math.nan
-    remaining: ProgramTimes | None = None
+    remaining_s: float | None = None
 
 
 EVENT_KINDS = (

@@ -32,21 +32,16 @@ class RampTo(_Step, frozen=True, tag="ramp"):
 
 
 class HoldFor(_Step, frozen=True, tag="hold"):
-    """Hold the present reference for a time in s."""
-
-    for_s: float
-
-
-class Settle(_Step, frozen=True, tag="settle"):
-    """Hold the present reference until each reading has been near it.
+    """Hold the present reference for a time.
 
     Attributes:
-        within: Largest distance, in the unit of the output.
-        for_s: For so long without a break.
+        for_s: The time.
+        within: Largest distance of each reading from it, in the unit of the output: the time begins
+            anew where one is farther. None for any.
     """
 
-    within: float
     for_s: float
+    within: float | None = None
 
 
 class WaveFor(_Step, frozen=True, tag="waveform"):
@@ -70,7 +65,7 @@ class Choose(_Step, frozen=True, tag="mode"):
     mode: Literal["fixed", "adaptive"]
 
 
-Step = RampTo | HoldFor | Settle | WaveFor | Choose
+Step = RampTo | HoldFor | WaveFor | Choose
 
 
 class End(StrEnum):
@@ -112,36 +107,17 @@ class ProgramReport:
         name: Its name.
         step: The present step, from 1.
         steps: Steps that it has.
-        does: What this step does.
         status: Whether it goes on.
         reason: Why it has ended; empty before.
-        end: What follows its last step: hold, rest or disable.
+        text: All of that with what this step does, in words.
     """
 
     name: str
     step: int
     steps: int
-    does: str
     status: Literal["running", "paused", "ended"]
     reason: str
-    end: str
-
-    def __str__(self) -> str:
-        status = f"{self.status}: {self.reason}" if self.reason else self.status
-        return f"{self.name} {status}, step {self.step} of {self.steps}: {self.does}"
-
-
-@dataclass(frozen=True, slots=True)
-class ProgramTimes:
-    """What is left of the program that runs; a step that waits for the output may take longer.
-
-    Attributes:
-        step_s: Least time to the end of the present step.
-        program_s: The same to the end of the program.
-    """
-
-    step_s: float
-    program_s: float
+    text: str
 
 
 # The requests.
@@ -193,12 +169,10 @@ class RunProgram(Request):
 
     Attributes:
         value: The program, or what becomes of the one that runs.
-        check: Whether a program is checked only.
     """
 
     verb = "program"
     value: Program | Turn
-    check: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,11 +95,6 @@ class AskedReference:
         form = None if self.moving is None else self.moving.form
         return form if isinstance(form, Ramp) else None
 
-    @property
-    def known(self) -> MovingReference | None:
-        """What the controller knows to come, None while the reference is constant."""
-        return self.moving if self.previews else None
-
     def value(self, tick: int, tick_s: float) -> float:
         """Return the reference at a tick.
 

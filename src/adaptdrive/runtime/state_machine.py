@@ -121,7 +121,8 @@ class Machine:
 
     def order(self, tick: int) -> Order:
         """The order to the controller at a tick; a new object only when something changed."""
-        reference, manual_V, known = self.reference(tick), self.manual_V(tick), self.asked.known
+        reference, manual_V = self.reference(tick), self.manual_V(tick)
+        known = self.asked.moving if self.asked.previews else None
         parts = (self.stage, reference, self.mode, self.pole, manual_V, self.steady, known)
         if self._order is None or parts != self._parts:
             self._parts, self._order = parts, Order(*parts)

@@ -1,49 +1,61 @@
-"""Course of a quantity: a level, a line and a step through points that scatter by more than shown.
+"""Courses of quantities over weeks: their days, a line or a step through them, and what it means.
 
-Points have a standard deviation each. What lies between them beyond that, such as a warm day, is a
-second variance τ², the same for all, which follows from their residuals (R. DerSimonian and N.
-Laird, Controlled Clinical Trials 7, 1986, doi:10.1016/0197-2456(86)90046-2). Residuals that
-resemble their neighbours, with the correlation φ, widen a deviation by √((1 + φ)/(1 - φ)).
+The days are what is compared: a level is a mean of seven, a baseline that of the first seven. Days
+that scatter by more than their deviations widen these by √(χ²/(n - 2)), and residuals that resemble
+their neighbours, with the correlation φ, by √((1 + φ)/(1 - φ)).
 """
 
 import itertools
 import math
-from collections.abc import Sequence
+import operator
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+
+DAY_S = 86_400.0
+WEEK_S = 7.0 * DAY_S
+
+DAYS = 7
+"""Days of a level."""
 
 FEWEST = 4
-"""Points of a line: two more than it has parameters."""
+"""Days of a line: two more than it has parameters."""
+
+SIGMAS = 6.0
+"""Standard deviations by which a bound is left, and by which a step stands out."""
 
 _SIDE = 3
-"""Least points on each side of a step."""
+"""Least days on each side of a step."""
 
 _CLEAR = 20.0
-"""Loss by which a step must explain points better than a line: odds of e^10, 22,000 to 1."""
+"""n ln(χ²/χ²) by which a step must explain days better than a line: odds of e^10 to 1."""
 
 _MOST_ALIKE = 0.9
-"""Largest correlation of neighbours that few points can show."""
+"""Largest correlation of neighbours that few days can show."""
 
-_REPEATED = 0.01
-"""Weight of what repeats what was known, against an independent estimate."""
+_LEAST = 1e-300
 
-_LEAST_VARIANCE = 1e-300
+MEANINGS = {
+    "inertia": "inertia",
+    "damping": "damping: viscous friction and back-EMF",
+    "friction": "dry friction and load torque",
+    "heat_capacity": "heat capacity",
+    "conductance": "conductance to the surroundings",
+    "heat_loss": "heat lost whatever the temperature",
+    "series_resistance": "series resistance",
+    "resistance": "resistance at rest",
+    "emf": "EMF",
+}
+"""Quantities that say more of a load than the parameter that they follow from."""
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """A value at a time.
-
-    Attributes:
-        time_s: The time.
-        value: The value.
-        std: Standard deviation of one estimate of it.
-        count: Independent estimates behind it; 0 where it repeats what was known.
-    """
+    """A value at a time, with its standard deviation."""
 
     time_s: float
     value: float
     std: float
-    count: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,69 +65,86 @@ class Fit:
     Attributes:
         slope: Rise for each unit of the places.
         std: Its standard deviation.
-        spread: τ.
-        factor: Factor by which residuals that resemble their neighbours widen deviations.
-        loss: Σ w r² of the residuals r with the weights w = 1/(σ² + τ²).
+        loss: χ², the sum of the squared residuals, each in deviations of its point.
+        factor: Factor by which their scatter widens deviations.
     """
 
     slope: float
     std: float
-    spread: float
-    factor: float
     loss: float
+    factor: float
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
-    """A sudden change.
+class HealthQuantity:
+    """One quantity of a load over the weeks.
 
     Attributes:
-        time_s: Time of the first point after it.
-        before: Mean before it.
-        change: Mean after it less that before.
-        std: Standard deviation of the change.
+        value: Mean of the last seven days with an estimate.
+        std: Its standard deviation.
+        change_percent: Its change since a sudden one, else since the first seven days.
+        change_std: Standard deviation of that.
+        trend_percent: Rise a week, of the first seven days; None where it changed suddenly.
+        trend_std: Standard deviation of that.
+        since: Time of a sudden change, None without one.
+        meaning: What stands out, such as `inertia up 8 ± 1 % since Tue 2026-11-24`; else empty.
+        outside: Whether it has left its bounds in `[health]`.
     """
 
-    time_s: float
-    before: float
-    change: float
+    value: float
     std: float
+    change_percent: float | None
+    change_std: float | None
+    trend_percent: float | None
+    trend_std: float | None
+    since: datetime | None
+    meaning: str
+    outside: bool
 
 
-def pooled(points: Sequence[Point], width_s: float) -> list[Point]:
-    """Return a point for each span of time that has any: their weighted mean, in its middle.
+@dataclass(frozen=True, slots=True)
+class HealthReport:
+    """The health of a load: what its estimates were over the weeks.
+
+    Attributes:
+        time: Begin of the newest hour.
+        running_h: Time that the load was fed, of all hours.
+        starts: How often that began.
+        quantities: Each quantity by name.
+        times_s: Times of the days shown, in seconds since 1970.
+        courses: Changes since the first seven days at these times in %, by name; None where the
+            load has shown none.
+        changes: The last hours in which the bank of models decided on a change, and on which.
+    """
+
+    time: datetime
+    running_h: float
+    starts: int
+    quantities: dict[str, HealthQuantity]
+    times_s: tuple[float, ...]
+    courses: dict[str, tuple[float | None, ...]]
+    changes: tuple[str, ...]
+
+
+def daily(points: Iterable[Point]) -> list[Point]:
+    """Return the weighted mean of each day that has points, in the middle of the day.
 
     Args:
         points: In the order of their times.
-        width_s: Length of a span; spans are counted from time 0.
     """
-    spans: dict[int, list[Point]] = {}
-    for one in points:
-        spans.setdefault(math.floor(one.time_s / width_s), []).append(one)
-    return [_pool(found, (span + 0.5) * width_s) for span, found in spans.items()]
+    days = itertools.groupby(points, lambda one: one.time_s // DAY_S)
+    return [Point((day + 0.5) * DAY_S, *mean(list(found))) for day, found in days]
 
 
-def _pool(points: Sequence[Point], time_s: float) -> Point:
-    """Return the mean of points, no better known than one estimate where none is independent."""
-    weights = [max(one.count, _REPEATED) / one.std**2 for one in points]
-    value = math.fsum(w * one.value for w, one in zip(weights, points, strict=True))
-    single = len(points) / math.fsum(one.std**-2.0 for one in points)
-    count = max(1.0, math.fsum(one.count for one in points))
-    return Point(time_s, value / math.fsum(weights), math.sqrt(single / count))
-
-
-def mean(points: Sequence[Point], spread: float = 0.0, factor: float = 1.0) -> tuple[float, float]:
+def mean(points: Sequence[Point], factor: float = 1.0) -> tuple[float, float]:
     """Return the weighted mean of points, one at least, and its standard deviation.
 
     Args:
         points: The points.
-        spread: τ.
         factor: As of `Fit`.
     """
-    weights = _weights(points, spread)
-    total = math.fsum(weights)
-    middle = math.fsum(w * one.value for w, one in zip(weights, points, strict=True)) / total
-    return middle, factor / math.sqrt(total)
+    weights = _weights(points)
+    return _mean([one.value for one in points], weights), factor / math.sqrt(math.fsum(weights))
 
 
 def fit_line(points: Sequence[Point]) -> Fit | None:
@@ -123,58 +152,99 @@ def fit_line(points: Sequence[Point]) -> Fit | None:
     return _fit(points, [one.time_s for one in points]) if len(points) >= FEWEST else None
 
 
-def find_step(points: Sequence[Point], sigmas: float) -> Step | None:
-    """Return the step that explains points clearly better than a line does, None without one.
+def find_step(points: Sequence[Point]) -> tuple[float, Fit] | None:
+    """Return the step that explains points clearly better than a line: its time, and its fit.
 
     Args:
         points: In the order of their times.
-        sigmas: Least size of it, in its standard deviations.
     """
-    found, times_s = list[tuple[float, Step]](), [one.time_s for one in points]
+    line, found = fit_line(points), []
     for place in range(_SIDE, len(points) - _SIDE + 1):
         fit = _fit(points, [float(number >= place) for number in range(len(points))])
-        weights = _weights(points, fit.spread)
-        lead = _line(points, times_s, weights)[2] - fit.loss
-        if lead > _CLEAR and abs(fit.slope) > sigmas * fit.std:
-            before, _ = mean(points[:place], fit.spread)
-            found.append((lead, Step(points[place].time_s, before, fit.slope, fit.std)))
-    return max(found, key=lambda one: one[0])[1] if found else None
+        found.append((fit.loss, points[place].time_s, fit))
+    if line is None or not found:
+        return None
+    loss, time_s, fit = min(found)
+    clear = len(points) * math.log((line.loss + _LEAST) / (loss + _LEAST)) > _CLEAR
+    return (time_s, fit) if clear and abs(fit.slope) > SIGMAS * fit.std else None
+
+
+def _weights(points: Sequence[Point]) -> list[float]:
+    return [1.0 / max(one.std * one.std, _LEAST) for one in points]
+
+
+def _mean(values: Sequence[float], weights: Sequence[float]) -> float:
+    return math.fsum(map(operator.mul, values, weights)) / math.fsum(weights)
 
 
 def _fit(points: Sequence[Point], places: Sequence[float]) -> Fit:
-    plain = _weights(points, 0.0)
-    total = math.fsum(plain)
-    free = total - math.fsum(w * w for w in plain) / total
-    excess = _line(points, places, plain)[2] - (len(points) - 2)
-    spread = math.sqrt(max(0.0, excess) / free)
-    weights = _weights(points, spread)
-    slope, moment, loss, factor = _line(points, places, weights)
-    return Fit(slope, factor / math.sqrt(moment), spread, factor, loss)
-
-
-def _weights(points: Sequence[Point], spread: float) -> list[float]:
-    return [1.0 / max(one.std * one.std + spread * spread, _LEAST_VARIANCE) for one in points]
-
-
-def _line(
-    points: Sequence[Point], places: Sequence[float], weights: Sequence[float]
-) -> tuple[float, float, float, float]:
-    """Return the slope of a weighted line, Σ w (x - x̄)², Σ w r², and the factor of correlation."""
-    total = math.fsum(weights)
-    middle = math.fsum(w * x for w, x in zip(weights, places, strict=True)) / total
-    level = math.fsum(w * p.value for w, p in zip(weights, points, strict=True)) / total
-    offsets = [x - middle for x in places]
-    moment = math.fsum(w * x * x for w, x in zip(weights, offsets, strict=True))
-    rows = list(zip(weights, offsets, (one.value - level for one in points), strict=True))
+    """Return the line of weighted least squares."""
+    weights, values = _weights(points), [one.value for one in points]
+    middle, level = _mean(places, weights), _mean(values, weights)
+    rows = [(w, x - middle, y - level) for w, x, y in zip(weights, places, values, strict=True)]
+    moment = math.fsum(w * x * x for w, x, _ in rows)
     slope = math.fsum(w * x * y for w, x, y in rows) / moment
-    scaled = [math.sqrt(w) * (y - slope * x) for w, x, y in rows]
-    loss = math.fsum(one * one for one in scaled)
-    return slope, moment, loss, _factor(scaled, loss)
+    residuals = [math.sqrt(w) * (y - slope * x) for w, x, y in rows]
+    loss = math.fsum(one * one for one in residuals)
+    alike = math.fsum(one * other for one, other in itertools.pairwise(residuals))
+    alike = min(max(0.0, alike / (loss + _LEAST)), _MOST_ALIKE)
+    scatter = max(1.0, loss / (len(points) - 2)) * (1.0 + alike) / (1.0 - alike)
+    return Fit(slope, math.sqrt(scatter / moment), loss, math.sqrt(scatter))
 
 
-def _factor(scaled: Sequence[float], loss: float) -> float:
-    if loss == 0.0:
-        return 1.0
-    alike = math.fsum(one * other for one, other in itertools.pairwise(scaled)) / loss
-    alike = min(max(0.0, alike), _MOST_ALIKE)
-    return math.sqrt((1.0 + alike) / (1.0 - alike))
+def condition(
+    name: str, course: Sequence[Point], since_s: float, *, outside: bool
+) -> HealthQuantity:
+    """Return the condition of a quantity.
+
+    Args:
+        name: Its name.
+        course: Its days.
+        since_s: Time from which a line or a step is sought.
+        outside: Whether it has left its bounds.
+    """
+    recent = [one for one in course if one.time_s >= since_s] or course[-1:]
+    line, (step_s, step) = fit_line(recent), find_step(recent) or (-math.inf, None)
+    factor = step.factor if step else line.factor if line else 1.0
+    value, std = mean([one for one in recent if one.time_s >= step_s][-DAYS:], factor)
+    base, base_std = mean(course[:DAYS], factor)
+    scale, change, trend = 100.0 / (abs(base) or math.nan), (math.nan, math.nan), (math.nan,) * 2
+    if step:
+        change = step.slope * scale, step.std * scale
+    elif len(course) > DAYS:
+        change = (value - base) * scale, math.hypot(std, base_std) * scale
+    if line and not step:
+        trend = line.slope * WEEK_S * scale, line.std * WEEK_S * scale
+    since = datetime.fromtimestamp(step_s, UTC) if step else None
+    return HealthQuantity(
+        value=value,
+        std=std,
+        change_percent=_known(change[0]),
+        change_std=_known(change[1]),
+        trend_percent=_known(trend[0]),
+        trend_std=_known(trend[1]),
+        since=since,
+        meaning=_meaning(MEANINGS.get(name, ""), change, trend, since),
+        outside=outside,
+    )
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _meaning(
+    what: str, change: tuple[float, ...], trend: tuple[float, ...], since: datetime | None
+) -> str:
+    percent, std = change if since else trend
+    if not (what and abs(percent) > 0.5 * SIGMAS * std):
+        return ""
+    moved = f"{what} {'up' if percent > 0.0 else 'down'} {abs(percent):.2g} ± {std:.1g} %"
+    return f"{moved} since {since:%a %Y-%m-%d}" if since else f"{moved} a week"
+
+
+def shares(course: Sequence[Point]) -> dict[float, float | None]:
+    """Return the changes of days since the first seven in %, by their times."""
+    base = mean(course[:DAYS])[0]
+    scale = 100.0 / (abs(base) or math.nan)
+    return {one.time_s: _known((one.value - base) * scale) for one in course}

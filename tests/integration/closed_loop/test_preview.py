@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from adaptdrive.analysis.replay import replay
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Shape, Waveform
-from adaptdrive.recording.replay import replay
 from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.motor import Motor, MotorParameters

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from adaptdrive.analysis.replay import replay
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
@@ -18,7 +19,6 @@ from adaptdrive.control.settings import Probing
 from adaptdrive.control.signals import Command, Measurement, Mode, Order, Shape, Waveform
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.records import Header
-from adaptdrive.recording.replay import replay
 from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import LoadReport, StopWord, TickReport

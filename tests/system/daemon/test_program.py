@@ -21,16 +21,16 @@ do = "ramp"
 to = 3.2
 slope = 0.5
 [[steps]]
-do = "settle"
+do = "hold"
 within = 0.2
-for = "1 s"
+for_s = 1
 [[steps]]
 do = "hold"
-for = "2 h"
+for_s = 7200
 [[steps]]
 do = "ramp"
 to = 2.6
-slope = "6/min"
+slope = 0.1
 [[steps]]
 do = "hold"
 for_s = 3600
@@ -53,9 +53,9 @@ def await_program(site: Site, **wanted: object) -> dict[str, Any]:
 
 
 def left_s(site: Site) -> float:
-    left = site.ear.on("telemetry/drive")[-1].content["remaining"]
-    assert 0.0 < left["step_s"] <= left["program_s"] < 3700.0
-    return float(left["program_s"])
+    left = float(site.ear.on("telemetry/drive")[-1].content["remaining_s"])
+    assert 0.0 < left < 3700.0
+    return left
 
 
 def test_a_program_goes_on_without_its_client_and_a_trip_ends_it(
@@ -65,14 +65,13 @@ def test_a_program_goes_on_without_its_client_and_a_trip_ends_it(
     site.start("--initial-voltage", "280")
     file = tmp_path / "scene.toml"
     file.write_text(PROGRAM.replace("to = 3.2", "to = 9.2"))
-    refused = program(site, "check", "motor", file)
+    refused = program(site, "start", "motor", file)
     assert (refused.returncode, "step 2: ramp to = 9.2 V is outside" in refused.stderr) == (1, True)
     file.write_text(PROGRAM)
-    assert program(site, "check", "motor", file).returncode == 0
     assert program(site, "start", "motor", file).returncode == 1  # it is not enabled
     site.run_drive()
     assert program(site, "start", "motor", file).returncode == 0
-    await_program(site, name="scene", step=4, status="running", does="hold for 7200 s")
+    await_program(site, name="scene", step=4, status="running")
     assert site.state["mode"] == "adaptive"
     assert "stop it before setpoint" in site.ask("setpoint", 3.0)["reason"]
     assert program(site, "pause", "motor").returncode == 0

@@ -330,7 +330,7 @@ def test_the_health_of_the_load_is_plotted_with_what_it_means(
 ) -> None:
     health = contract.health_message(HEALTH) | {"quantities": {"friction": WORN}}
     hostile_raw(panel_site.site.broker_port, "adaptdrive/motor/health", contract.encode(health))
-    operator.page.get_by_text("friction 1 ± 0.04\u202f% a week, out of its bounds").wait_for()
+    operator.page.get_by_text("dry friction and load torque up 1 ± 0.04 % a week").wait_for()
     plot = operator.page.locator("figure", has_text="health: change since the first days")
     assert plot.locator("canvas").count() == 1
     assert plot.locator(".u-legend").inner_text().count("friction") == 1
@@ -424,7 +424,7 @@ def test_a_program_is_shown_with_its_step_and_turned_by_hand(
     expect(row).to_contain_text("left")
     operator.page.locator("summary", has_text="Program").click()
     operator.page.get_by_role("button", name="Pause").click()
-    expect(row).to_contain_text("hold for 7200 s, paused", timeout=PATIENCE_MS)
+    expect(row).to_contain_text("bath paused", timeout=PATIENCE_MS)
     operator.page.get_by_role("button", name="End program").click()
     expect(row).to_contain_text("ended: stopped", timeout=PATIENCE_MS)
     rest(panel_site)

@@ -19,11 +19,11 @@ from pyarrow import parquet as pq
 
 from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.figures import draw_session, plot
+from adaptdrive.analysis.replay import reconfigured
 from adaptdrive.cli import main
 from adaptdrive.control.signals import Mode
 from adaptdrive.recording.archiver import draw
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import RecordingError
 from tests.unit.analysis.conftest import SECONDS
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adaptdrive.analysis.replay import reconfigured
 from adaptdrive.app.check_report import sound_report, tables
 from adaptdrive.app.examine import implausible
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, machine_limits, operator_profile
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.design.pole_placement import Plant, discrete_model
-from adaptdrive.recording.replay import reconfigured
 from adaptdrive.runtime.requests import SetPole
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.errors import RefusedError

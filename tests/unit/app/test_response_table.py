@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
+from adaptdrive.analysis.replay import reconfigured
 from adaptdrive.app.check_report import tables
 from adaptdrive.app.loads import response_limits
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
-from adaptdrive.recording.replay import reconfigured
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.plausibility import Response, ResponseLimits
 from tests.unit.devices.bench import EXAMPLES

@@ -16,16 +16,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
-from cyclopts import App
+from cyclopts import App, Token
 from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive import __version__
 from adaptdrive.cli import carry_out, main, operate
 from adaptdrive.cli.options import build_app, parsed_command
-from adaptdrive.cli.programs import per_second, read_program, seconds
 from adaptdrive.config import Configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode, Shape, Waveform
@@ -136,7 +134,6 @@ def outcome(*words: str, **environment: str) -> tuple[int, str, str]:
         ("waveform bench off", SetWaveform(None)),
         ("program pause bench", RunProgram(Turn.PAUSE)),
         (f"program start bench {PROGRAM}", RunProgram(CYCLE)),
-        (f"program check bench {PROGRAM}", RunProgram(CYCLE, check=True)),
         ("pole bench 0.8", SetPole(0.8)),
         ("mode bench adaptive", SetMode(Mode.ADAPTIVE)),
         ("manual bench", SetMode(Mode.MANUAL)),
@@ -160,8 +157,7 @@ def test_an_accepted_command_ends_with_0(drive: Drive, words: str, request_: Req
     [
         ('[[steps]]\ndo = "ramp"', "step 1: Object missing required field `to`"),
         ('steps = [{do = "hold", for_s = 1}, {do = "rest"}]', "step 2.do: Invalid value 'rest'"),
-        ('steps = [{do = "hold", for = "2 d"}]', 'step 1: "2 d" has none of the units s, min, h.'),
-        ('steps = [{do = "ramp", to = 1, slope = "0/h"}]', 'step 1: "0/h" is not a positive'),
+        ('steps = [{do = "hold", for_s = "2 h"}]', "step 1.for_s: Expected `float`, got `str`"),
         ("steps = []", "steps: Expected `array` of length >= 1"),
         ("steps", "program: Expected '='"),
     ],
@@ -178,18 +174,16 @@ def test_a_file_that_is_no_program_is_refused_with_the_place(
 
 
 @given(st.floats(1e-9, 1e9), st.sampled_from([("s", 1.0), ("min", 60.0), ("h", 3600.0)]))
-def test_a_time_and_a_slope_are_read_with_their_unit(
-    number: float, unit: tuple[str, float]
-) -> None:
+def test_a_slope_is_read_with_its_unit(number: float, unit: tuple[str, float]) -> None:
     name, factor = unit
-    assert seconds(f"{number!r} {name}") == number * factor
-    assert per_second(f"{number!r}/{name}") == number / factor
+    token = Token(value=f"{number!r}/{name}")
+    assert operate._read_slope(None, [token]) == number / factor
 
 
-def test_a_program_in_json_is_the_one_in_toml(tmp_path: Path) -> None:
-    file = tmp_path / "other.json"
-    file.write_bytes(msgspec.json.encode(CYCLE))
-    assert read_program(file) == read_program(PROGRAM)
+@pytest.mark.parametrize("text", ["0/h", "-2/s", "nan", "inf/s", "2/d", "x/s"])
+def test_what_is_no_slope_is_refused(drive: Drive, text: str) -> None:
+    status, _, errors = outcome("setpoint", "bench", "3", f"--ramp={text}")
+    assert (status, f'"{text}" is no slope' in errors, drive.asked) == (2, True, [])
 
 
 @pytest.mark.parametrize(

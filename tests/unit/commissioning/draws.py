@@ -12,10 +12,10 @@ from functools import cached_property
 import numpy as np
 import tomlkit
 
+from adaptdrive.analysis.replay import reconfigured
 from adaptdrive.app.loads import build_load
 from adaptdrive.commissioning.course import ExperimentCourse, Phase, Target, build_target
 from adaptdrive.config.root import Configuration
-from adaptdrive.recording.replay import reconfigured
 from adaptdrive_sim.parameters import EXAMPLES, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import lfilter
 
+from adaptdrive.analysis.replay import reconfigured
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.commissioning.proposal import propose
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.design.pole_placement import Plant, discrete_model
 from adaptdrive.identification.result import IdentifiedLoad
-from adaptdrive.recording.replay import reconfigured
 from adaptdrive_sim.parameters import EXAMPLES
 from tests.unit.commissioning.draws import Draw
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from adaptdrive.mqtt.contract import NO_TRIP
-from adaptdrive.runtime.health import HealthQuantity
 from adaptdrive.runtime.reports import EVENT_KINDS
 from adaptdrive.safety.trips import TripKind
+from adaptdrive.util.trends import HealthQuantity
 from tools.pages.asyncapi import schema
 from tools.pages.topic_table import topics
 

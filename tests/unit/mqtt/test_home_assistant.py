@@ -167,10 +167,10 @@ async def test_what_home_assistant_shows_is_in_the_messages(
         "program": "none",
         "program_left": "None",
     }
-    program = {"name": "bath", "step": 3, "steps": 5, "does": "hold", "status": "running"}
+    program = {"name": "bath", "text": "bath running, step 3 of 5: hold"}
     for name, content, wanted in (
         ("program", {"program": program}, "bath running, step 3 of 5: hold"),
-        ("program_left", {"remaining": {"program_s": 9200.0}}, "9200.0"),
+        ("program_left", {"remaining_s": 9200.0}, "9200.0"),
     ):
         template = payload["components"][name]["value_template"]
         assert rendered(template, value_json=content) == wanted

@@ -22,8 +22,8 @@ from adaptdrive.recording import archiver
 from adaptdrive.recording import log as log_module
 from adaptdrive.recording.archive import ERRORS, archive
 from adaptdrive.recording.log import Log
-from adaptdrive.runtime.health import HealthReport
 from adaptdrive.runtime.reports import Event, Severity
+from adaptdrive.util.trends import HealthReport
 
 RETRY_S = 0.5
 

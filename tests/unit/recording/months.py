@@ -13,7 +13,7 @@ from scipy.signal import cont2discrete, lfilter
 from adaptdrive.control.estimation.estimator import LambdaEstimator
 from adaptdrive.control.loads.load import derived
 from adaptdrive.control.signals import Decision, Estimate, Mode, Order, Snapshot, Stage
-from adaptdrive.recording.health import HourRow, Mean
+from adaptdrive.recording.health import HourRow
 from adaptdrive.recording.records import HealthSettings
 from adaptdrive.runtime.reports import LoadReport
 from tests.integration.closed_loop.bench import MOTOR
@@ -25,13 +25,11 @@ STEP_s, TAU_s, STEPS = 0.1, 10.0, 10
 NOISE = 3e-4
 TRUTH = {"gain": 0.011, "tau_sum_s": 21.7, "tau_product_s2": 117.0, "input_offset": -20.0}
 TRUTH |= derived(MOTOR.products, MOTOR.loss, TRUTH)
-NOMINAL = {"gain": 0.011, "tau_sum_s": 21.7, "tau_product_s2": 117.0}
 SETTINGS = HealthSettings(
     products=MOTOR.products,
     loss=MOTOR.loss,
     share=1.0 - LEARNING.forgetting,
     least_excitation=LEARNING.gate * (1.0 - LEARNING.forgetting),
-    nominal=NOMINAL | derived(MOTOR.products, MOTOR.loss, NOMINAL),
 )
 BEGIN = datetime(2026, 1, 5, tzinfo=UTC)
 SETTLED_S = 300
@@ -113,6 +111,6 @@ def months(
         if time.hour in HOURS and time.weekday() < 5:
             value = TRUTH["friction"] * course(hour / 168) * (1.0 + slow)
             std = 0.02 * TRUTH["friction"] * random.choice([0.5, 1.0, 3.0])
-            found = Mean(float(value + std * random.normal()), float(std), 1.0)
+            found = float(value + std * random.normal()), float(std)
             rows.append(HourRow(time, BEGIN, 1.0, 0, {"friction": found}))
     return rows

@@ -228,7 +228,7 @@ def test_a_segment_that_ends_while_the_archiver_runs_stays_in_the_log(
     with first.open("rb") as held, monkeypatch.context() as daemon:
         fcntl.flock(held, fcntl.LOCK_EX)  # as its daemon does
         daemon.setattr(
-            "adaptdrive.recording.retention.prune", lambda *_: [str(place.write(10, part=2))]
+            "adaptdrive.recording.segments.prune", lambda *_: [str(place.write(10, part=2))]
         )
         archive_all(place.log)
     assert sequences(place.session) == list(range(20))

@@ -27,7 +27,7 @@ from adaptdrive.recording.overview import (
     update_index,
 )
 from adaptdrive.recording.records import CommandRow, EventRow, Header, Keep
-from adaptdrive.recording.retention import prune
+from adaptdrive.recording.segments import prune
 from adaptdrive.recording.session import Ending, create_session, read_info
 from tests.unit.recording.material import (
     INFO,

@@ -24,7 +24,7 @@ from adaptdrive.recording.log_files import log_files
 from adaptdrive.recording.reader import Session, read_session, session_notes, verify
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.recording.records import Header, Keep, Pace
-from adaptdrive.recording.retention import prune
+from adaptdrive.recording.segments import prune
 from adaptdrive.recording.session import Dropped, Ending, session_directories
 from adaptdrive.runtime.reports import CommandReport, Event, Hub, Severity
 from tests.unit.recording.disk import Disk, archive_in_process

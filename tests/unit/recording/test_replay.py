@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.analysis.replay import replay
 from adaptdrive.control.signals import (
     Command,
     Decision,
@@ -19,7 +20,6 @@ from adaptdrive.control.signals import (
 )
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.records import Header
-from adaptdrive.recording.replay import replay
 from adaptdrive.recording.session import create_session
 from adaptdrive.runtime.reports import LoadReport, TickReport
 from adaptdrive.util.errors import RecordingError

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from adaptdrive.recording.records import Header, Keep
-from adaptdrive.recording.retention import prune
+from adaptdrive.recording.segments import prune
 from adaptdrive.recording.session import (
     Ending,
     create_session,

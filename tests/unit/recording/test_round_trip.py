@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet as pq
 
+from adaptdrive.analysis.replay import recorded_ticks
 from adaptdrive.control.signals import (
     Command,
     Decision,
@@ -25,7 +26,6 @@ from adaptdrive.control.signals import (
 )
 from adaptdrive.recording.reader import read_session, session_notes
 from adaptdrive.recording.records import CommandRow, EventRow, Header, note_row
-from adaptdrive.recording.replay import recorded_ticks
 from adaptdrive.recording.session import Dropped, Ending
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, TickReport
 from adaptdrive.util.errors import RecordingError

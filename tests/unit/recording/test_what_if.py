@@ -1,7 +1,7 @@
 import pytest
 
+from adaptdrive.analysis.replay import reconfigured
 from adaptdrive.config import Configuration
-from adaptdrive.recording.replay import reconfigured
 from adaptdrive.util.errors import ConfigurationError
 from tests.unit.config.documents import SOURCE, document
 

@@ -71,11 +71,11 @@ def shown(record: WatchRecord, size: tuple[int, int] = (120, 40)) -> list[str]:
 
 @pytest.mark.parametrize("size", [(80, 24), (120, 40)])
 def test_a_program_has_a_line(size: tuple[int, int]) -> None:
-    program = {"name": "bath", "step": 3, "steps": 5, "does": "hold for 7200 s"}
-    record = live_record(Clock(), program=program | {"status": "paused", "reason": ""})
-    record.take("telemetry/drive", record.fast | {"remaining": {"program_s": 9200.0}})
+    text = "bath paused, step 3 of 5: hold for 7200 s"
+    record = live_record(Clock(), program={"name": "bath", "text": text})
+    record.take("telemetry/drive", record.fast | {"remaining_s": 9200.0})
     lines = shown(record, size)
-    assert lines[1].rstrip() == (" program bath paused, 2:33:20 left; step 3 of 5: hold for 7200 s")
+    assert lines[1].rstrip() == f" program {text}, 2:33:20 left"
     assert len(lines) == size[1]
 
 

@@ -14,8 +14,6 @@ from adaptdrive.control.vectors import Vector
 
 NAMES = ("resistance_K_per_W", "tau_s")
 
-CONDUCTANCE = load.Product("conductance", ((NAMES[0], -1),))
-
 
 def bath_load(
     resistance_K_per_W: float,
@@ -47,7 +45,7 @@ def bath_load(
             input_exponent=2,
             names=names,
             delay_s=delay_s,
-            products=(_capacity("tau_product_s2"), CONDUCTANCE),
+            products=_products("tau_product_s2"),
             loss="heat_loss",
         )
     return load.Load(
@@ -61,14 +59,14 @@ def bath_load(
         realise=realise,
         paper_model=paper_model,
         delay_s=delay_s,
-        products=(_capacity("tau_s"), CONDUCTANCE),
+        products=_products("tau_s"),
         loss="heat_loss",
     )
 
 
-def _capacity(lag: str) -> load.Product:
-    """Return the heat capacity; with a sensor that lags, times that lag."""
-    return load.Product("heat_capacity", ((lag, 1), (NAMES[0], -1)))
+def _products(lag: str) -> load.Products:
+    """Heat capacity, with a sensor that lags times that lag, and conductance."""
+    return {"heat_capacity": {lag: 1, NAMES[0]: -1}, "conductance": {NAMES[0]: -1}}
 
 
 def physical(numerator: Vector, denominator: Vector) -> Vector:

@@ -31,10 +31,7 @@ from adaptdrive.control.vectors import Vector
 
 NAMES = ("direct_S", "gain_S", "tau_s")
 
-PRODUCTS = (
-    load.Product("series_resistance", (("direct_S", -1),)),
-    load.Product("resistance", (("gain_S", -1),)),
-)
+PRODUCTS = {"series_resistance": {"direct_S": -1}, "resistance": {"gain_S": -1}}
 
 
 def battery_load(

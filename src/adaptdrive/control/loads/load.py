@@ -5,8 +5,8 @@ voltage to that input. A new load is one new file that provides a `Load`.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 from adaptdrive.control.vectors import Vector
 
@@ -45,17 +45,8 @@ OFFSET = "input_offset"
 """Name of the estimated constant at the input."""
 
 
-@dataclass(frozen=True, slots=True)
-class Product:
-    """A quantity of a load that grows in proportion to a product of its parameters.
-
-    Attributes:
-        name: Its name.
-        powers: Names of the parameters, and their powers.
-    """
-
-    name: str
-    powers: tuple[tuple[str, int], ...]
+Products = Mapping[str, Mapping[str, int]]
+"""Quantities by name that are products of parameters: the powers of these by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +80,7 @@ class Load:
     paper_model: Discretise
     charging: Charging | None = None
     delay_s: float = 0.0
-    products: tuple[Product, ...] = ()
+    products: Products = field(default_factory=dict)
     loss: str = "loss"
 
     @property
@@ -134,9 +125,7 @@ def to_voltage(load_input: float, gain: float, exponent: int) -> float:
     return load_input / gain
 
 
-def derived(
-    products: Sequence[Product], loss: str, estimates: Mapping[str, float]
-) -> dict[str, float]:
+def derived(products: Products, loss: str, estimates: Mapping[str, float]) -> dict[str, float]:
     """Return the quantities that follow from estimates.
 
     Args:
@@ -144,12 +133,11 @@ def derived(
         loss: As of `Load`.
         estimates: Values of the estimates by name; one that is 0 has no inverse.
     """
-    found = {}
-    for one in products:
-        if all(estimates.get(name) for name, _ in one.powers):
-            found[one.name] = 1.0
-            for name, power in one.powers:
-                found[one.name] *= estimates[name] ** float(power)
+    found = {
+        name: math.prod(estimates[one] ** float(power) for one, power in powers.items())
+        for name, powers in products.items()
+        if all(map(estimates.get, powers))
+    }
     if OFFSET in estimates:
         found[loss] = -estimates[OFFSET]
     return found

@@ -9,15 +9,12 @@ every third time, and that is a legal model.
 """
 
 from adaptdrive.control.loads.discretise import held_model
-from adaptdrive.control.loads.load import Load, Product
+from adaptdrive.control.loads.load import Load
 from adaptdrive.control.vectors import Vector
 
 NAMES = ("gain", "tau_sum_s", "tau_product_s2")
 
-PRODUCTS = (
-    Product("inertia", (("tau_product_s2", 1), ("gain", -1))),
-    Product("damping", (("gain", -1),)),
-)
+PRODUCTS = {"inertia": {"tau_product_s2": 1, "gain": -1}, "damping": {"gain": -1}}
 """The inertia is τ_m times the damping R f + K², and the gain falls with that; while the filter
 keeps its τ_f, Π does for τ_m."""
 
