@@ -16,6 +16,9 @@ from adaptdrive.analysis.model import LoopMargins, Model
 BAND = (2.5, 97.5)
 """Percentiles of the loads within the covariance, at the ends of a band."""
 
+_UNITS = {"gain": "", "phase_deg": "°", "delay_s": " s"}
+"""Margins, with their units in a text."""
+
 _DECADES = 3
 _POINTS = 600
 
@@ -27,16 +30,18 @@ class LoopSpread:
     Attributes:
         model: The model.
         margins: Its margins.
-        drawn: Margins of the loads that were drawn; empty where no covariance is known.
+        bands: Each margin at both percentiles of `BAND`; empty where no covariance is known.
+        loads: How many loads were drawn.
         stable: How many of these the controller keeps stable.
         rad_per_s: Frequencies, three decades up to half the sampling rate.
         curves: Magnitude in dB and phase in degrees of L there, by frequency.
-        band: The same at both percentiles of `BAND`; empty as above.
+        band: The same at both percentiles, NaN where no covariance is known.
     """
 
     model: Model
     margins: LoopMargins
-    drawn: tuple[LoopMargins, ...]
+    bands: dict[str, list[float]]
+    loads: int
     stable: int
     rad_per_s: Array
     curves: Array
@@ -47,15 +52,18 @@ def spread_of(model: Model) -> LoopSpread:
     """Return the response of a loop, and how far the covariance of its load spreads it."""
     omega = np.geomspace(10.0**-_DECADES, 1.0, _POINTS) * math.pi / model.period_s
     drawn = list(model.drawn())
-    curves = [_curves(one, omega) for one in drawn]
+    margins = [one.margins for one in drawn]
+    values = {name: [getattr(one, name) for one in margins] for name in _UNITS if drawn}
+    curves = [_curves(one, omega) for one in drawn] or [np.full((2, _POINTS), math.nan)]
     return LoopSpread(
         model=model,
         margins=model.margins,
-        drawn=tuple(one.margins for one in drawn),
+        bands={n: np.percentile(one, BAND, method="nearest").tolist() for n, one in values.items()},
+        loads=len(drawn),
         stable=sum(one.is_stable for one in drawn),
         rad_per_s=omega,
         curves=_curves(model, omega),
-        band=np.percentile(curves, BAND, axis=0) if curves else np.empty(0),
+        band=np.percentile(curves, BAND, axis=0),
     )
 
 
@@ -67,37 +75,24 @@ def _curves(model: Model, rad_per_s: Array) -> Array:
 
 def as_text(spread: LoopSpread) -> str:
     """Return the margins, each with the ends of its band in brackets."""
-    found, (low, high) = spread.margins, BAND
     rows = [f"open loop of {spread.model.name}, T = {spread.model.period_s:.4g} s"]
-    for name, key, unit, place in (
-        ("gain margin", "gain", "", found.gain_rad_per_s),
-        ("phase margin", "phase_deg", "°", found.phase_rad_per_s),
-        ("delay margin", "delay_s", " s", found.phase_rad_per_s),
-    ):
-        value = f"{getattr(found, key):.3g}{unit}{_ends(spread, key)}"
-        rows.append(f"{name:<14}{value}, {place:.3g} rad/s")
-    if spread.drawn:
-        share = f"{high - low:g} % of {len(spread.drawn)} loads drawn from the covariance"
+    for name, unit in _UNITS.items():
+        ends = spread.bands.get(name)
+        band = f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else ""
+        place = spread.margins.gain_rad_per_s if name == "gain" else spread.margins.phase_rad_per_s
+        label, value = f"{name.partition('_')[0]} margin", getattr(spread.margins, name)
+        rows.append(f"{label:<14}{value:.3g}{unit}{band}, {place:.3g} rad/s")
+    if spread.loads:
+        share = f"{BAND[1] - BAND[0]:g} % of {spread.loads} loads drawn from the covariance"
         rows.append(f"in brackets   {share}, {spread.stable} of them stable")
     return "\n".join(rows)
 
 
-def _ends(spread: LoopSpread, name: str) -> str:
-    """Return both ends of the band of a margin, empty where there is none."""
-    values = [getattr(one, name) for one in spread.drawn]
-    if not values:
-        return ""
-    low, high = np.percentile(values, BAND, method="nearest")
-    return f" ({low:.3g} to {high:.3g})"
-
-
 def as_json(spread: LoopSpread) -> dict[str, Any]:
     """Return the margins as values for JSON; those that do not exist are null."""
-    margins = [
-        {name: known(value) for name, value in asdict(one).items()}
-        for one in (spread.margins, *spread.drawn)
-    ]
-    return {"margins": margins[0], "drawn": margins[1:], "stable": spread.stable}
+    margins = {name: known(value) for name, value in asdict(spread.margins).items()}
+    bands = {name: [known(one) for one in ends] for name, ends in spread.bands.items()}
+    return {"margins": margins, "bands": bands, "loads": spread.loads, "stable": spread.stable}
 
 
 def draw_loop(spread: LoopSpread) -> bytes:
@@ -126,12 +121,10 @@ def draw_loop(spread: LoopSpread) -> bytes:
 
 
 def _draw_curve(axes: Axes, spread: LoopSpread, row: int) -> None:
-    low, high = BAND
-    if len(spread.band):
-        label = f"{high - low:g} % within the covariance"
-        color = figures.ADAPTIVE["color"]
-        ends = spread.band[:, row]
-        axes.fill_between(spread.rad_per_s, *ends, color=color, alpha=0.2, lw=0, label=label)
+    if spread.loads:
+        look = {"color": figures.ADAPTIVE["color"], "alpha": 0.2, "linewidth": 0.0}
+        label = f"{BAND[1] - BAND[0]:g} % within the covariance"
+        axes.fill_between(spread.rad_per_s, *spread.band[:, row], label=label, **look)
     axes.semilogx(spread.rad_per_s, spread.curves[row], label="model", **figures.ADAPTIVE)
 
 

@@ -12,7 +12,6 @@ import pytest
 
 from adaptdrive import lab
 from adaptdrive.analysis.bode import LoopSpread, as_text, spread_of
-from adaptdrive.analysis.model import with_parameters
 from adaptdrive.cli import main
 from tests.unit.app.test_replay import EXAMPLE
 
@@ -33,10 +32,10 @@ def test_a_gain_that_is_uncertain_moves_the_magnitude_alone() -> None:
     for at, expected in zip(found.band, ends, strict=True):
         assert at[0] - found.curves[0] == pytest.approx(expected, abs=0.2)
         assert at[1] == pytest.approx(found.curves[1], abs=1e-6)
-    low, high = np.percentile([one.gain for one in found.drawn], (2.5, 97.5))
+    low, high = found.bands["gain"]
     assert low == pytest.approx(found.margins.gain / 1.098, rel=0.03)
     assert high == pytest.approx(found.margins.gain / 0.902, rel=0.03)
-    assert found.stable == len(found.drawn)
+    assert found.stable == found.loads
 
 
 def test_the_band_lies_about_the_response_of_the_model(spread: LoopSpread) -> None:
@@ -50,9 +49,9 @@ def test_loads_that_the_controller_does_not_hold_are_counted() -> None:
     model = lab.model(EXAMPLE)
     deviations = [one.value for one in model.parameters.values()]
     found = spread_of(replace(model, covariance=np.diag(np.square(deviations))))
-    assert 0 < found.stable < len(found.drawn)
-    heavier = with_parameters(model.load, [4.0 * deviations[0], *deviations[1:]])
-    assert heavier.gain == pytest.approx(4.0 * model.load.gain)
+    assert 0 < found.stable < found.loads
+    heavier = model.around(np.array([4.0 * deviations[0], *deviations[1:]]))
+    assert heavier.load.gain == pytest.approx(4.0 * model.load.gain)
 
 
 def test_plot_draws_the_open_loop(
@@ -69,4 +68,5 @@ def test_plot_draws_the_open_loop(
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["margins"]["phase_deg"] == pytest.approx(margins.phase_deg)
-    assert len(found["drawn"]) == 200
+    assert found["loads"] == 200
+    assert found["bands"]["gain"][0] < found["margins"]["gain"] < found["bands"]["gain"][1]
