@@ -285,14 +285,14 @@ class ConnectedDrive:
         sending = send_command(self._broker, self._name, verb, value, self._timeout_s, **fields)
         return accepted(asyncio.run_coroutine_threadsafe(sending, self._loop).result())
 
-    def setpoint(self, value: float) -> Reply:
-        """Hold a constant set-point, in the unit of the output."""
-        return self.send("setpoint", value)
+    def setpoint(self, value: float, slope: float | None = None) -> Reply:
+        """Hold a constant set-point; the reference goes there with so much in a second."""
+        return self.send("setpoint", value, slope=slope)
 
     def waveform(
         self, shape: str, low: float, high: float, period_s: float, *, preview: bool = True
     ) -> Reply:
-        """Follow a periodic set-point: `square`, `sine` or `triangle`."""
+        """Follow a periodic set-point; V_c moves before edges beyond its limits with `preview`."""
         value = {"shape": shape, "low": low, "high": high, "period_s": period_s}
         return self.send("waveform", value, preview=preview)
 
@@ -363,13 +363,11 @@ class ConnectedDrive:
 
     def _run(self) -> None:
         with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
-            runner.run(self._serve())
+            runner.run(self._serve())  # which leaves the other task to the end of the runner
 
     async def _serve(self) -> None:
-        following = asyncio.create_task(self._follow())
-        await self._ending.wait()
-        following.cancel()
-        await asyncio.wait([following])
+        tasks = [asyncio.create_task(one) for one in (self._follow(), self._ending.wait())]
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
 
     async def _follow(self) -> None:
         while True:
