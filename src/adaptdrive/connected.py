@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import datetime
 from html import escape
-from threading import Condition
 from typing import Any, Literal, Self
 
 from adaptdrive.mqtt import commands
@@ -191,7 +190,7 @@ def _time_s(content: Mapping[str, Any]) -> float:
 # The drive: a thread follows what it publishes, and sends what the program commands.
 
 _PAUSE_S = 1.0
-_LOOK_S = 0.5
+_LOOK_S = 0.02
 
 
 class ConnectedDrive:
@@ -214,7 +213,7 @@ class ConnectedDrive:
             NoAnswerError: The broker or the daemon does not answer.
         """
         self._name, self._broker, self._timeout_s = name, broker, timeout_s
-        self._published, self._changed = Published(name), Condition()
+        self._published = Published(name)
         self._loop = asyncio.new_event_loop()
         self._ending = asyncio.Event()
         self._thread = in_thread(self._run, f"drive {name}")
@@ -251,7 +250,7 @@ class ConnectedDrive:
         """Wait until a condition holds; values of a slow period may be still to come.
 
         Args:
-            condition: Called with the drive at each message, as
+            condition: Called with the drive again and again, as
                 `lambda d: abs(d.output - 90) < 1`.
             timeout_s: Longest wait.
 
@@ -355,11 +354,9 @@ class ConnectedDrive:
     def _wait(self, holds: Callable[[], object], timeout_s: float) -> None:
         end_s = time.monotonic() + timeout_s
         while not holds():
-            left_s = end_s - time.monotonic()
-            if left_s <= 0.0:
+            if time.monotonic() > end_s:
                 raise TimeoutError(f"not so within {timeout_s:g} s; {self!r}")
-            with self._changed:
-                self._changed.wait(min(_LOOK_S, left_s))
+            time.sleep(_LOOK_S)
 
     def _run(self) -> None:
         with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
@@ -375,8 +372,6 @@ class ConnectedDrive:
                 async for topic, content in follow(self._broker, self._name):
                     self._published.problem = ""
                     self._published.take(topic, content)
-                    with self._changed:
-                        self._changed.notify_all()
             except NoAnswerError as problem:  # the values age until the broker is back
                 self._published.problem = problem.problem
             await asyncio.sleep(_PAUSE_S)
