@@ -2,7 +2,6 @@
 
 import functools
 import itertools
-import json
 import re
 import warnings
 from collections.abc import Callable, Iterator
@@ -245,7 +244,7 @@ def _write_mcap(session: reader.Session, into: Path) -> list[Path]:
         writer = Writer(stream)
         writer.start(profile="", library="adaptdrive")
         for table, schema, batches in flat_tables(session):
-            text = json.dumps(_json_schema(table, schema)).encode()
+            text = msgspec.json.encode(_json_schema(table, schema))
             kind = writer.register_schema(f"adaptdrive.{table}", "jsonschema", text)
             channel = writer.register_channel(f"/{session.info.drive}/{table}", "json", kind)
             for time_ns, message in _messages(session, batches):
@@ -260,12 +259,7 @@ def _messages(session: reader.Session, batches: Batches) -> Iterator[tuple[int, 
         for row in batch.to_pylist():
             utc = row.pop("utc")
             time_ns = round(utc.timestamp() * 1e6) * 1000 if utc else start_ns
-            finite = {name: _json_value(value) for name, value in row.items()}
-            yield time_ns, json.dumps(finite).encode()
-
-
-def _json_value(value: Any) -> Any:  # noqa: ANN401 - whatever a column holds
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+            yield time_ns, msgspec.json.encode(row)  # which writes null for NaN
 
 
 def _json_schema(table: str, schema: pa.Schema) -> dict[str, Any]:
