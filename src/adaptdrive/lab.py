@@ -49,12 +49,11 @@ class Tables:
     path: Path
 
 
-def load_session(path: str | Path, frames: Literal["polars", "pandas"] = "polars") -> Tables:
+def load_session(path: str | Path) -> Tables:
     """Load a recorded session, or the record of a trip, into memory.
 
     Args:
         path: Its folder.
-        frames: Library of the tables.
 
     Raises:
         AdaptdriveError: There is no session, or it is damaged. Damaged events are a warning:
@@ -63,7 +62,7 @@ def load_session(path: str | Path, frames: Literal["polars", "pandas"] = "polars
     """
     from adaptdrive.analysis.export import session_frames  # noqa: PLC0415 - `connect` needs none
 
-    return Tables(**session_frames(Path(path), frames), path=Path(path))
+    return Tables(**session_frames(Path(path)), path=Path(path))
 
 
 class RecordOptions(TypedDict, total=False):

@@ -24,7 +24,7 @@ from adaptdrive.recording.tables import open_file
 
 Batches = Iterator[pa.RecordBatch]
 
-# Tables of a session without lists, as other programs read them, and those of polars or pandas.
+# Tables of a session without lists, as other programs read them, and those of polars.
 
 
 def flat_tables(session: reader.Session) -> Iterator[tuple[str, pa.Schema, Batches]]:
@@ -85,13 +85,10 @@ def _element(column: pa.Array, at: int) -> pa.Array:
     return pa.array(items, column.type.value_type)
 
 
-def session_frames(path: Path, frames: str) -> dict[str, Any]:
-    """Return the tables of a session by name, with `info` and `units`.
+def session_frames(path: Path) -> dict[str, Any]:
+    """Return the tables of a session by name, of polars, with `info` and `units`."""
+    from polars import from_arrow  # noqa: PLC0415 - exports do without
 
-    Args:
-        path: Directory of the session.
-        frames: `polars` or `pandas`.
-    """
     session = reader.read_session(path)
     if session.damage:
         warnings.warn(session.damage, stacklevel=3)
@@ -104,7 +101,7 @@ def session_frames(path: Path, frames: str) -> dict[str, Any]:
     }
     tables["events"] = _rows(session.events)
     tables["commands"] = _rows(session.commands)
-    made = {name: _frame(table, frames) for name, table in tables.items()}
+    made = {name: from_arrow(table) for name, table in tables.items()}
     return {"info": session.info, "units": units, **made}
 
 
@@ -118,14 +115,6 @@ def _whole(session: reader.Session) -> dict[str, pa.Table]:
 
 def _rows(rows: tuple[Any, ...]) -> pa.Table:
     return pa.Table.from_pylist([msgspec.structs.asdict(row) for row in rows])
-
-
-def _frame(table: pa.Table, frames: str) -> Any:  # noqa: ANN401 - of either library
-    if frames == "pandas":
-        return table.to_pandas()
-    import polars  # noqa: ICN001, PLC0415 - one of two
-
-    return polars.from_arrow(table)
 
 
 # Sessions in the formats of other programs, with units where a format has a place for them.
