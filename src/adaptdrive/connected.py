@@ -9,8 +9,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import datetime
+from functools import partial
 from html import escape
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 from adaptdrive.mqtt import commands
 from adaptdrive.mqtt.client import LIVE_S, NoAnswerError, follow, send_command
@@ -197,8 +198,9 @@ class ConnectedDrive:
     """A running drive: each value of telemetry and state is an attribute, each command a method.
 
     A value that is no longer fresh raises `NoAnswerError`. A command waits for the reply of the
-    drive; it raises `RefusedError` with reason and remedy, or `NoAnswerError`. The end of a program
-    changes nothing on the drive.
+    drive; it raises `RefusedError` with reason and remedy, or `NoAnswerError`. Its value comes
+    first, other fields by their name, as in `drive.voltage(300.0, hold_s=5.0)`. The end of a
+    program changes nothing on the drive.
     """
 
     def __init__(self, name: str, broker: Broker, timeout_s: float) -> None:
@@ -235,14 +237,18 @@ class ConnectedDrive:
             self._loop.call_soon_threadsafe(self._ending.set)
         self._thread.result()
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - values of any kind
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - values of any kind, and commands
+        if name in REQUESTS:
+            command = partial(self.send, name)
+            command.__doc__ = REQUESTS[name].__doc__
+            return command
         try:
             return self.__dict__["_published"].value(name)
         except KeyError:
             raise AttributeError(f"the drive publishes no {name!r}", name=name, obj=self) from None
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *self._published.names]
+        return [*super().__dir__(), *REQUESTS, *self._published.names]
 
     def wait_until(
         self, condition: Callable[[ConnectedDrive], object], timeout_s: float = 60.0
@@ -284,40 +290,12 @@ class ConnectedDrive:
         sending = send_command(self._broker, self._name, verb, value, self._timeout_s, **fields)
         return accepted(asyncio.run_coroutine_threadsafe(sending, self._loop).result())
 
-    def setpoint(self, value: float, slope: float | None = None) -> Reply:
-        """Hold a constant set-point; the reference goes there with so much in a second."""
-        return self.send("setpoint", value, slope=slope)
-
     def waveform(
         self, shape: str, low: float, high: float, period_s: float, *, preview: bool = True
     ) -> Reply:
         """Follow a periodic set-point; V_c moves before edges beyond its limits with `preview`."""
         value = {"shape": shape, "low": low, "high": high, "period_s": period_s}
         return self.send("waveform", value, preview=preview)
-
-    def mode(self, value: Literal["fixed", "adaptive", "manual"]) -> Reply:
-        """Choose the controller, or manual."""
-        return self.send("mode", value)
-
-    def voltage(self, voltage_V: float, hold_s: float | None = None) -> Reply:
-        """Set V_c in mode manual; after `hold_s` without another one the drive trips."""
-        return self.send("voltage", voltage_V, hold_s=hold_s)
-
-    def pole(self, value: float) -> Reply:
-        """Choose the closed-loop pole of the load loop."""
-        return self.send("pole", value)
-
-    def enable(self) -> Reply:
-        """Energise the drive and hold the present output."""
-        return self.send("enable")
-
-    def disable(self) -> Reply:
-        """Bring the drive into its safe state."""
-        return self.send("disable")
-
-    def reset(self) -> Reply:
-        """Leave a trip whose cause is gone."""
-        return self.send("reset")
 
     def __repr__(self) -> str:
         return f"{self._name}: {self._published.summary}"

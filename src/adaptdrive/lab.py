@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Literal
 
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.connected import ConnectedDrive
@@ -65,33 +65,11 @@ def load_session(path: str | Path) -> Tables:
     return Tables(**session_frames(Path(path)), path=Path(path))
 
 
-class RecordOptions(TypedDict, total=False):
-    """Options of `identify` for a file or a table; it guesses those that are left out.
-
-    Attributes:
-        input: Column of the input.
-        output: Column of the output.
-        time: Column of times, in seconds or as dates.
-        sample_time_s: Time between two rows, in s, where there is no such column.
-        before: Input before the first row, under which the load had come to rest.
-        lags: Lags of the load, 1 or 2; two if the record shows a second one.
-        config: Configuration, or its file, of the drive whose boost voltage and output they are.
-    """
-
-    input: str
-    output: str
-    time: str
-    sample_time_s: float
-    before: float
-    lags: int
-    config: str | Path | Configuration
-
-
 def identify(
     source: Any,  # noqa: ANN401 - tables of several libraries
     begin_s: float | None = None,
     end_s: float | None = None,
-    **options: Unpack[RecordOptions],
+    **options: Any,  # noqa: ANN401 - each as `RecordView` declares it
 ) -> RecordLoad:
     """Identify the load from a record, in open or closed loop.
 
@@ -100,7 +78,9 @@ def identify(
             file, or a table with named columns: of polars, pandas or pyarrow, or arrays by name.
         begin_s: First second used, from the start of the record on; None for the first.
         end_s: Last second used, None for the last.
-        options: How a file or a table is read, see `RecordOptions`.
+        options: How a file or a table is read; what is left out is guessed. `input`, `output`,
+            `time`, `sample_time_s`, `before`, `lags` and `config` are those of `RecordView` in
+            `analysis.record`.
 
     Raises:
         AdaptdriveError: The record cannot be read, or does not show its load.
@@ -143,12 +123,10 @@ def model(
             raise ConfigurationError.of("model", "config", "is needed for a drive: name its file")
         estimates = {name: Estimate(float(one), one.std) for name, one in source.estimates.items()}
         return models.model_of_estimates(_configuration(config), estimates, source.gains)
-    if isinstance(source, Configuration):
-        return models.model_of_configuration(source)
-    path = source.path if isinstance(source, Tables) else Path(source)
-    if path.is_file():
-        return models.model_of_configuration(load_configuration(path))
-    return models.model_of_session(path, begin_s, end_s)
+    found = source.path if isinstance(source, Tables) else source
+    if isinstance(found, Configuration) or Path(found).is_file():
+        return models.model_of_configuration(_configuration(found))
+    return models.model_of_session(Path(found), begin_s, end_s)
 
 
 def simulate(
