@@ -305,12 +305,9 @@ def _model(
 
 # The text of a model for MATLAB and its Control System Toolbox.
 
-_SYMBOLS: dict[Part, tuple[str, str]] = {
-    "load": ("H", "load, from its input u to the output"),
-    "sampled": ("G", "load at the slow period, with every delay of the loop"),
-    "controller": ("C", "feedback S/R, from the error to u"),
-    "loop": ("L", "open loop G C"),
-}
+_SYMBOLS: dict[Part, str] = {"load": "H", "sampled": "G", "controller": "C", "loop": "L"}
+_LEGEND = """% H: load, from its input u to the output; G: at the slow period, with every delay
+% C: feedback S/R, from the error to u; L: open loop G C"""
 
 
 def as_matlab(model: Model) -> str:
@@ -320,9 +317,9 @@ def as_matlab(model: Model) -> str:
     rows = [f"% {model.name}, in SI units; {entry}"]
     for name, one in model.parameters.items():
         rows.append(f"% {name} = {one.value:.9g}, deviation {one.std:.3g}")
-    for part, (symbol, meaning) in _SYMBOLS.items():
+    rows.append(_LEGEND)
+    for part, symbol in _SYMBOLS.items():
         above, below = (" ".join(map(repr, one.tolist())) for one in model.polynomials(part))
         time = f"'InputDelay', {load.delay_s!r}" if part == "load" else f"{model.period_s!r}"
-        rows.append(f"% {symbol}: {meaning}")
         rows.append(f"{symbol} = tf([{above}], [{below}], {time});\n{symbol}_ss = ss({symbol});")
     return "\n".join(rows) + "\n"
