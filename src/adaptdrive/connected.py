@@ -9,9 +9,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import datetime
+from functools import partial
 from html import escape
-from threading import Condition
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 from adaptdrive.mqtt import commands
 from adaptdrive.mqtt.client import LIVE_S, NoAnswerError, follow, send_command
@@ -191,15 +191,16 @@ def _time_s(content: Mapping[str, Any]) -> float:
 # The drive: a thread follows what it publishes, and sends what the program commands.
 
 _PAUSE_S = 1.0
-_LOOK_S = 0.5
+_LOOK_S = 0.02
 
 
 class ConnectedDrive:
     """A running drive: each value of telemetry and state is an attribute, each command a method.
 
     A value that is no longer fresh raises `NoAnswerError`. A command waits for the reply of the
-    drive; it raises `RefusedError` with reason and remedy, or `NoAnswerError`. The end of a program
-    changes nothing on the drive.
+    drive; it raises `RefusedError` with reason and remedy, or `NoAnswerError`. Its value comes
+    first, other fields by their name, as in `drive.voltage(300.0, hold_s=5.0)`. The end of a
+    program changes nothing on the drive.
     """
 
     def __init__(self, name: str, broker: Broker, timeout_s: float) -> None:
@@ -214,7 +215,7 @@ class ConnectedDrive:
             NoAnswerError: The broker or the daemon does not answer.
         """
         self._name, self._broker, self._timeout_s = name, broker, timeout_s
-        self._published, self._changed = Published(name), Condition()
+        self._published = Published(name)
         self._loop = asyncio.new_event_loop()
         self._ending = asyncio.Event()
         self._thread = in_thread(self._run, f"drive {name}")
@@ -236,14 +237,18 @@ class ConnectedDrive:
             self._loop.call_soon_threadsafe(self._ending.set)
         self._thread.result()
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - values of any kind
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - values of any kind, and commands
+        if name in REQUESTS:
+            command = partial(self.send, name)
+            command.__doc__ = REQUESTS[name].__doc__
+            return command
         try:
             return self.__dict__["_published"].value(name)
         except KeyError:
             raise AttributeError(f"the drive publishes no {name!r}", name=name, obj=self) from None
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *self._published.names]
+        return [*super().__dir__(), *REQUESTS, *self._published.names]
 
     def wait_until(
         self, condition: Callable[[ConnectedDrive], object], timeout_s: float = 60.0
@@ -251,7 +256,7 @@ class ConnectedDrive:
         """Wait until a condition holds; values of a slow period may be still to come.
 
         Args:
-            condition: Called with the drive at each message, as
+            condition: Called with the drive again and again, as
                 `lambda d: abs(d.output - 90) < 1`.
             timeout_s: Longest wait.
 
@@ -285,40 +290,12 @@ class ConnectedDrive:
         sending = send_command(self._broker, self._name, verb, value, self._timeout_s, **fields)
         return accepted(asyncio.run_coroutine_threadsafe(sending, self._loop).result())
 
-    def setpoint(self, value: float) -> Reply:
-        """Hold a constant set-point, in the unit of the output."""
-        return self.send("setpoint", value)
-
     def waveform(
         self, shape: str, low: float, high: float, period_s: float, *, preview: bool = True
     ) -> Reply:
-        """Follow a periodic set-point: `square`, `sine` or `triangle`."""
+        """Follow a periodic set-point; V_c moves before edges beyond its limits with `preview`."""
         value = {"shape": shape, "low": low, "high": high, "period_s": period_s}
         return self.send("waveform", value, preview=preview)
-
-    def mode(self, value: Literal["fixed", "adaptive", "manual"]) -> Reply:
-        """Choose the controller, or manual."""
-        return self.send("mode", value)
-
-    def voltage(self, voltage_V: float, hold_s: float | None = None) -> Reply:
-        """Set V_c in mode manual; after `hold_s` without another one the drive trips."""
-        return self.send("voltage", voltage_V, hold_s=hold_s)
-
-    def pole(self, value: float) -> Reply:
-        """Choose the closed-loop pole of the load loop."""
-        return self.send("pole", value)
-
-    def enable(self) -> Reply:
-        """Energise the drive and hold the present output."""
-        return self.send("enable")
-
-    def disable(self) -> Reply:
-        """Bring the drive into its safe state."""
-        return self.send("disable")
-
-    def reset(self) -> Reply:
-        """Leave a trip whose cause is gone."""
-        return self.send("reset")
 
     def __repr__(self) -> str:
         return f"{self._name}: {self._published.summary}"
@@ -355,21 +332,17 @@ class ConnectedDrive:
     def _wait(self, holds: Callable[[], object], timeout_s: float) -> None:
         end_s = time.monotonic() + timeout_s
         while not holds():
-            left_s = end_s - time.monotonic()
-            if left_s <= 0.0:
+            if time.monotonic() > end_s:
                 raise TimeoutError(f"not so within {timeout_s:g} s; {self!r}")
-            with self._changed:
-                self._changed.wait(min(_LOOK_S, left_s))
+            time.sleep(_LOOK_S)
 
     def _run(self) -> None:
         with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
-            runner.run(self._serve())
+            runner.run(self._serve())  # which leaves the other task to the end of the runner
 
     async def _serve(self) -> None:
-        following = asyncio.create_task(self._follow())
-        await self._ending.wait()
-        following.cancel()
-        await asyncio.wait([following])
+        tasks = [asyncio.create_task(one) for one in (self._follow(), self._ending.wait())]
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
 
     async def _follow(self) -> None:
         while True:
@@ -377,8 +350,6 @@ class ConnectedDrive:
                 async for topic, content in follow(self._broker, self._name):
                     self._published.problem = ""
                     self._published.take(topic, content)
-                    with self._changed:
-                        self._changed.notify_all()
             except NoAnswerError as problem:  # the values age until the broker is back
                 self._published.problem = problem.problem
             await asyncio.sleep(_PAUSE_S)

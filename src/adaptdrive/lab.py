@@ -1,26 +1,23 @@
 """The Python interface: recorded sessions, their loads, simulations, and running drives over MQTT.
 
-`docs/python.md` shows it at work. All but `connect` and `Drive` needs the extra
-`adaptdrive[analysis]`.
+`docs/python.md` shows it at work. All but `connect` needs the extra `adaptdrive[analysis]`.
 """
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Literal
 
 from adaptdrive.config import Configuration, load_configuration
-from adaptdrive.connected import ConnectedDrive, accepted
+from adaptdrive.connected import ConnectedDrive
 from adaptdrive.control.signals import Estimate, Mode
-from adaptdrive.mqtt.client import NoAnswerError, read_status, send_command, telemetry
 from adaptdrive.mqtt.connection import Broker
-from adaptdrive.mqtt.contract import Reply
 from adaptdrive.recording.session import SessionInfo
 from adaptdrive.util.errors import ConfigurationError
 
-if TYPE_CHECKING:  # they need libraries that `Drive` does without
+if TYPE_CHECKING:  # they need libraries that `connect` does without
     from adaptdrive.analysis.closed_loop import Plant, Simulation
     from adaptdrive.analysis.model import Model
     from adaptdrive.analysis.record import RecordLoad
@@ -52,50 +49,27 @@ class Tables:
     path: Path
 
 
-def load_session(path: str | Path, frames: Literal["polars", "pandas"] = "polars") -> Tables:
+def load_session(path: str | Path) -> Tables:
     """Load a recorded session, or the record of a trip, into memory.
 
     Args:
         path: Its folder.
-        frames: Library of the tables.
 
     Raises:
         AdaptdriveError: There is no session, or it is damaged. Damaged events are a warning:
             the tables of its events and commands lack them.
         ModuleNotFoundError: The library is not installed.
     """
-    from adaptdrive.analysis.export import session_frames  # noqa: PLC0415 - `Drive` needs none
+    from adaptdrive.analysis.export import session_frames  # noqa: PLC0415 - `connect` needs none
 
-    return Tables(**session_frames(Path(path), frames), path=Path(path))
-
-
-class RecordOptions(TypedDict, total=False):
-    """Options of `identify` for a file or a table; it guesses those that are left out.
-
-    Attributes:
-        input: Column of the input.
-        output: Column of the output.
-        time: Column of times, in seconds or as dates.
-        sample_time_s: Time between two rows, in s, where there is no such column.
-        before: Input before the first row, under which the load had come to rest.
-        lags: Lags of the load, 1 or 2; two if the record shows a second one.
-        config: Configuration, or its file, of the drive whose boost voltage and output they are.
-    """
-
-    input: str
-    output: str
-    time: str
-    sample_time_s: float
-    before: float
-    lags: int
-    config: str | Path | Configuration
+    return Tables(**session_frames(Path(path)), path=Path(path))
 
 
 def identify(
     source: Any,  # noqa: ANN401 - tables of several libraries
     begin_s: float | None = None,
     end_s: float | None = None,
-    **options: Unpack[RecordOptions],
+    **options: Any,  # noqa: ANN401 - each as `RecordView` declares it
 ) -> RecordLoad:
     """Identify the load from a record, in open or closed loop.
 
@@ -104,19 +78,18 @@ def identify(
             file, or a table with named columns: of polars, pandas or pyarrow, or arrays by name.
         begin_s: First second used, from the start of the record on; None for the first.
         end_s: Last second used, None for the last.
-        options: How a file or a table is read, see `RecordOptions`.
+        options: How a file or a table is read; what is left out is guessed. `input`, `output`,
+            `time`, `sample_time_s`, `before`, `lags` and `config` are those of `RecordView` in
+            `analysis.record`.
 
     Raises:
         AdaptdriveError: The record cannot be read, or does not show its load.
         ModuleNotFoundError: A library is not installed.
     """
-    from adaptdrive.analysis.record import (  # noqa: PLC0415 - `Drive` needs none
-        RecordView,
-        identify_source,
-    )
+    from adaptdrive.analysis import record  # noqa: PLC0415 - `connect` needs none
 
-    view = RecordView(begin_s=begin_s, end_s=end_s, **options)
-    return identify_source(source.path if isinstance(source, Tables) else source, view)
+    view = record.RecordView(begin_s=begin_s, end_s=end_s, **options)
+    return record.identify_source(source.path if isinstance(source, Tables) else source, view)
 
 
 def model(
@@ -143,19 +116,17 @@ def model(
             does not answer or run.
         ModuleNotFoundError: A library is not installed.
     """
-    from adaptdrive.analysis import model as models  # noqa: PLC0415 - `Drive` needs none
+    from adaptdrive.analysis import model as models  # noqa: PLC0415 - `connect` needs none
 
     if isinstance(source, ConnectedDrive):
         if config is None:
             raise ConfigurationError.of("model", "config", "is needed for a drive: name its file")
         estimates = {name: Estimate(float(one), one.std) for name, one in source.estimates.items()}
         return models.model_of_estimates(_configuration(config), estimates, source.gains)
-    if isinstance(source, Configuration):
-        return models.model_of_configuration(source)
-    path = source.path if isinstance(source, Tables) else Path(source)
-    if path.is_file():
-        return models.model_of_configuration(load_configuration(path))
-    return models.model_of_session(path, begin_s, end_s)
+    found = source.path if isinstance(source, Tables) else source
+    if isinstance(found, Configuration) or Path(found).is_file():
+        return models.model_of_configuration(_configuration(found))
+    return models.model_of_session(Path(found), begin_s, end_s)
 
 
 def simulate(
@@ -228,95 +199,3 @@ def connect(name: str, broker: Broker | None = None, timeout_s: float = 5.0) -> 
         NoAnswerError: The broker or the daemon does not answer.
     """
     return ConnectedDrive(name, broker or Broker(), timeout_s)
-
-
-class Drive:
-    """A running drive, commanded over MQTT.
-
-    Each command waits for the reply of the drive and raises `RefusedError` when it is refused,
-    `NoAnswerError` when there is none. `kind` of a `RefusedError` is the kind of the trip for which
-    the drive refuses, such as `over-voltage`, and empty for any other reason.
-    """
-
-    def __init__(self, name: str, broker: Broker | None = None, timeout_s: float = 5.0) -> None:
-        """Name a drive; nothing is connected yet.
-
-        Args:
-            name: Name of the drive.
-            broker: The broker; port 1883 of this machine when None.
-            timeout_s: Longest wait for a reply.
-        """
-        self._name = name
-        self._broker = broker or Broker()
-        self._timeout_s = timeout_s
-
-    async def state(self) -> dict[str, Any]:
-        """Return the present state, as on the topic `state`.
-
-        Raises:
-            NoAnswerError: The daemon is offline or publishes no telemetry: the state that the
-                broker holds is of an earlier time; or no state in time, or no broker.
-        """
-        found = await read_status(self._broker, self._name, self._timeout_s)
-        if not found.online:
-            raise NoAnswerError(self._name, f"its daemon is {found.availability}")
-        if found.silent:
-            raise NoAnswerError(self._name, "its daemon publishes no telemetry: it may be gone")
-        return found.state or {}
-
-    def telemetry(self) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
-        """Yield `load` and `drive` telemetry as it is published, until the caller stops.
-
-        There is no time-out: where nothing is published, nothing is yielded.
-        """
-        return telemetry(self._broker, self._name)
-
-    async def set_setpoint(self, value: float, slope: float | None = None) -> Reply:
-        """Hold a constant set-point; the reference goes there with so much in a second."""
-        return await self.command("setpoint", value, slope=slope)
-
-    async def set_mode(self, mode: Literal["fixed", "adaptive", "manual"]) -> Reply:
-        """Choose the controller, or manual."""
-        return await self.command("mode", mode)
-
-    async def set_voltage(self, voltage_V: float, hold_s: float | None = None) -> Reply:
-        """Set V_c in mode manual; after `hold_s` without another one the drive trips."""
-        return await self.command("voltage", voltage_V, hold_s=hold_s)
-
-    async def set_pole(self, pole: float) -> Reply:
-        """Choose the closed-loop pole of the load loop."""
-        return await self.command("pole", pole)
-
-    async def set_waveform(
-        self, shape: str, low: float, high: float, period_s: float, *, preview: bool = True
-    ) -> Reply:
-        """Follow a periodic set-point; V_c moves before edges beyond its limits with `preview`."""
-        value = {"shape": shape, "low": low, "high": high, "period_s": period_s}
-        return await self.command("waveform", value, preview=preview)
-
-    async def enable(self) -> Reply:
-        """Energise the drive and hold the present output."""
-        return await self.command("enable")
-
-    async def disable(self) -> Reply:
-        """Bring the drive into its safe state."""
-        return await self.command("disable")
-
-    async def reset(self) -> Reply:
-        """Leave a trip whose cause is gone."""
-        return await self.command("reset")
-
-    async def command(self, verb: str, value: object = None, **fields: object) -> Reply:
-        """Send any command.
-
-        Args:
-            verb: Last part of its topic.
-            value: Its value, None for a verb without one.
-            fields: Fields of the payload other than the value.
-
-        Raises:
-            RefusedError: The drive refused it.
-            NoAnswerError: No reply in time, or no broker.
-        """
-        sending = send_command(self._broker, self._name, verb, value, self._timeout_s, **fields)
-        return accepted(await sending)

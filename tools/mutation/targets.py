@@ -127,7 +127,7 @@ MQTT: dict[str, tuple[str, ...]] = {
     ),
     "adaptdrive.mqtt.client": (
         "tests/unit/mqtt/test_sender.py",
-        "tests/unit/mqtt/test_lab_drive.py",
+        "tests/unit/mqtt/test_asyncio_program.py",
     ),
 }
 

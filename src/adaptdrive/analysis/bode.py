@@ -1,8 +1,8 @@
 """The open-loop response of a model, its margins, and their spread by the covariance."""
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,129 +10,98 @@ from matplotlib.figure import Figure
 
 from adaptdrive.analysis import figures
 from adaptdrive.analysis.curves import Array
-from adaptdrive.analysis.load_report import known
 from adaptdrive.analysis.model import LoopMargins, Model
 
 BAND = (2.5, 97.5)
 """Percentiles of the loads within the covariance, at the ends of a band."""
 
+_UNITS = {"gain": "", "phase_deg": "°", "delay_s": " s"}
+"""Margins, with their units in a text."""
+
+_SHADE: figures.Look = {"color": figures.ADAPTIVE["color"], "alpha": 0.2, "linewidth": 0.0}
 _DECADES = 3
 _POINTS = 600
 
 
 @dataclass(frozen=True, slots=True)
 class LoopSpread:
-    """A loop, and those of the loads that are drawn from the covariance.
+    """The margins of a loop, and those of the loads that are drawn from the covariance.
 
     Attributes:
-        model: The model.
-        margins: Its margins.
-        drawn: Margins of the loads that were drawn; empty where no covariance is known.
+        margins: Of the loop.
+        bands: Each margin at both percentiles of `BAND`; empty where no covariance is known.
+        loads: How many loads were drawn.
         stable: How many of these the controller keeps stable.
-        rad_per_s: Frequencies, three decades up to half the sampling rate.
-        curves: Magnitude in dB and phase in degrees of L there, by frequency.
-        band: The same at both percentiles of `BAND`; empty as above.
     """
 
-    model: Model
     margins: LoopMargins
-    drawn: tuple[LoopMargins, ...]
+    bands: dict[str, list[float]]
+    loads: int
     stable: int
-    rad_per_s: Array
-    curves: Array
-    band: Array
 
 
-def spread_of(model: Model) -> LoopSpread:
-    """Return the response of a loop, and how far the covariance of its load spreads it."""
-    omega = np.geomspace(10.0**-_DECADES, 1.0, _POINTS) * math.pi / model.period_s
-    drawn = list(model.drawn())
-    curves = [_curves(one, omega) for one in drawn]
-    return LoopSpread(
-        model=model,
-        margins=model.margins,
-        drawn=tuple(one.margins for one in drawn),
-        stable=sum(one.is_stable for one in drawn),
-        rad_per_s=omega,
-        curves=_curves(model, omega),
-        band=np.percentile(curves, BAND, axis=0) if curves else np.empty(0),
-    )
+def spread_of(model: Model, drawn: Sequence[Model]) -> LoopSpread:
+    """Return the margins of a loop, and how far the loads that were drawn spread them."""
+    margins = [one.margins for one in drawn]
+    values = {name: [getattr(one, name) for one in margins] for name in _UNITS if drawn}
+    bands = {n: np.percentile(one, BAND, method="nearest").tolist() for n, one in values.items()}
+    return LoopSpread(model.margins, bands, len(drawn), sum(one.is_stable for one in drawn))
 
 
-def _curves(model: Model, rad_per_s: Array) -> Array:
+def curves_of(model: Model, rad_per_s: Array) -> Array:
+    """Return magnitude in dB and phase in degrees of L, by frequency."""
     response = model.response(rad_per_s)
     phase_deg = np.degrees(np.unwrap(np.angle(response)))
     return np.stack((20.0 * np.log10(np.abs(response)), phase_deg))
 
 
-def as_text(spread: LoopSpread) -> str:
+def as_text(model: Model, spread: LoopSpread) -> str:
     """Return the margins, each with the ends of its band in brackets."""
-    found, (low, high) = spread.margins, BAND
-    rows = [f"open loop of {spread.model.name}, T = {spread.model.period_s:.4g} s"]
-    for name, key, unit, place in (
-        ("gain margin", "gain", "", found.gain_rad_per_s),
-        ("phase margin", "phase_deg", "°", found.phase_rad_per_s),
-        ("delay margin", "delay_s", " s", found.phase_rad_per_s),
-    ):
-        value = f"{getattr(found, key):.3g}{unit}{_ends(spread, key)}"
-        rows.append(f"{name:<14}{value}, {place:.3g} rad/s")
-    if spread.drawn:
-        share = f"{high - low:g} % of {len(spread.drawn)} loads drawn from the covariance"
+    rows, found = [f"open loop of {model.name}, T = {model.period_s:.4g} s"], spread.margins
+    for name, unit in _UNITS.items():
+        ends = spread.bands.get(name)
+        band = f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else ""
+        place = found.gain_rad_per_s if name == "gain" else found.phase_rad_per_s
+        label = f"{name.partition('_')[0]} margin"
+        rows.append(f"{label:<14}{getattr(found, name):.3g}{unit}{band}, {place:.3g} rad/s")
+    if spread.loads:
+        share = f"{BAND[1] - BAND[0]:g} % of {spread.loads} loads drawn from the covariance"
         rows.append(f"in brackets   {share}, {spread.stable} of them stable")
     return "\n".join(rows)
 
 
-def _ends(spread: LoopSpread, name: str) -> str:
-    """Return both ends of the band of a margin, empty where there is none."""
-    values = [getattr(one, name) for one in spread.drawn]
-    if not values:
-        return ""
-    low, high = np.percentile(values, BAND, method="nearest")
-    return f" ({low:.3g} to {high:.3g})"
+def draw_loop(model: Model, drawn: Sequence[Model], found: LoopMargins) -> bytes:
+    """Draw the open-loop response with its margins, and the band of the loads that were drawn.
 
-
-def as_json(spread: LoopSpread) -> dict[str, Any]:
-    """Return the margins as values for JSON; those that do not exist are null."""
-    margins = [
-        {name: known(value) for name, value in asdict(one).items()}
-        for one in (spread.margins, *spread.drawn)
-    ]
-    return {"margins": margins[0], "drawn": margins[1:], "stable": spread.stable}
-
-
-def draw_loop(spread: LoopSpread) -> bytes:
-    """Draw the open-loop response with its margins and its band.
+    Args:
+        model: The loop.
+        drawn: The same around other loads, none for no band.
+        found: Its margins.
 
     Returns:
         A PNG.
     """
-    found, model = spread.margins, spread.model
+    omega = np.geomspace(10.0**-_DECADES, 1.0, _POINTS) * math.pi / model.period_s
+    curves, others = curves_of(model, omega), [curves_of(one, omega) for one in drawn]
     with figures.journal():
         figure = Figure(figsize=(figures.WIDTH_in, 5.0), layout="constrained")
-        magnitude, phase = figure.subplots(2, 1, sharex=True)
-        _draw_curve(magnitude, spread, 0)
+        magnitude, phase = axes = figure.subplots(2, 1, sharex=True)
+        for row, one in enumerate(axes):
+            if others:
+                ends = np.percentile([other[row] for other in others], BAND, axis=0)
+                one.fill_between(omega, *ends, label="95 % within the covariance", **_SHADE)
+            one.semilogx(omega, curves[row], label="model", **figures.ADAPTIVE)
         _draw_margin(magnitude, 0.0, found.gain_rad_per_s, -20.0 * math.log10(found.gain))
         magnitude.set_title(f"{model.name}: open loop, gain margin {found.gain:.3g}")
         magnitude.set_ylabel("magnitude (dB)")
         figures.legend_above(magnitude, columns=3)
-        _draw_curve(phase, spread, 1)
         _draw_margin(phase, -180.0, found.phase_rad_per_s, found.phase_deg - 180.0)
         phase.set_title(f"Phase margin {found.phase_deg:.3g}°, delay margin {found.delay_s:.3g} s")
         phase.set_ylabel("phase (°)")
         phase.set_xlabel("frequency (rad/s)")
-        phase.set_xlim(spread.rad_per_s[0], spread.rad_per_s[-1])
+        phase.set_xlim(omega[0], omega[-1])
         figure.align_ylabels([magnitude, phase])
         return figures.as_png(figure)
-
-
-def _draw_curve(axes: Axes, spread: LoopSpread, row: int) -> None:
-    low, high = BAND
-    if len(spread.band):
-        label = f"{high - low:g} % within the covariance"
-        color = figures.ADAPTIVE["color"]
-        ends = spread.band[:, row]
-        axes.fill_between(spread.rad_per_s, *ends, color=color, alpha=0.2, lw=0, label=label)
-    axes.semilogx(spread.rad_per_s, spread.curves[row], label="model", **figures.ADAPTIVE)
 
 
 def _draw_margin(axes: Axes, level: float, rad_per_s: float, end: float) -> None:

@@ -299,11 +299,8 @@ def columns_of_table(table: Any) -> Columns:  # noqa: ANN401 - of any library
 
 def _names(table: Any) -> Iterable[Any] | None:  # noqa: ANN401 - of any library
     """Return the names of the columns, None where the table has none."""
-    for found in ("column_names", "columns", "keys"):
-        names = getattr(table, found, None)
-        if callable(names):
-            names = names()
-        if names is not None and all(isinstance(one, str) for one in names):
-            return list(names)
-    names = getattr(getattr(table, "dtype", None), "names", None)
-    return names or None
+    names = [getattr(table, one, None) for one in ("column_names", "columns")]
+    names += [list(table) if isinstance(table, Mapping) else None]
+    names += [getattr(getattr(table, "dtype", None), "names", None)]
+    named = (one for one in names if one is not None and all(isinstance(n, str) for n in one))
+    return next(named, None)

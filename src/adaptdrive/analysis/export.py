@@ -2,7 +2,6 @@
 
 import functools
 import itertools
-import json
 import re
 import warnings
 from collections.abc import Callable, Iterator
@@ -25,7 +24,7 @@ from adaptdrive.recording.tables import open_file
 
 Batches = Iterator[pa.RecordBatch]
 
-# Tables of a session without lists, as other programs read them, and those of polars or pandas.
+# Tables of a session without lists, as other programs read them, and those of polars.
 
 
 def flat_tables(session: reader.Session) -> Iterator[tuple[str, pa.Schema, Batches]]:
@@ -86,13 +85,10 @@ def _element(column: pa.Array, at: int) -> pa.Array:
     return pa.array(items, column.type.value_type)
 
 
-def session_frames(path: Path, frames: str) -> dict[str, Any]:
-    """Return the tables of a session by name, with `info` and `units`.
+def session_frames(path: Path) -> dict[str, Any]:
+    """Return the tables of a session by name, of polars, with `info` and `units`."""
+    from polars import from_arrow  # noqa: PLC0415 - exports do without
 
-    Args:
-        path: Directory of the session.
-        frames: `polars` or `pandas`.
-    """
     session = reader.read_session(path)
     if session.damage:
         warnings.warn(session.damage, stacklevel=3)
@@ -105,7 +101,7 @@ def session_frames(path: Path, frames: str) -> dict[str, Any]:
     }
     tables["events"] = _rows(session.events)
     tables["commands"] = _rows(session.commands)
-    made = {name: _frame(table, frames) for name, table in tables.items()}
+    made = {name: from_arrow(table) for name, table in tables.items()}
     return {"info": session.info, "units": units, **made}
 
 
@@ -119,14 +115,6 @@ def _whole(session: reader.Session) -> dict[str, pa.Table]:
 
 def _rows(rows: tuple[Any, ...]) -> pa.Table:
     return pa.Table.from_pylist([msgspec.structs.asdict(row) for row in rows])
-
-
-def _frame(table: pa.Table, frames: str) -> Any:  # noqa: ANN401 - of either library
-    if frames == "pandas":
-        return table.to_pandas()
-    import polars  # noqa: ICN001, PLC0415 - one of two
-
-    return polars.from_arrow(table)
 
 
 # Sessions in the formats of other programs, with units where a format has a place for them.
@@ -245,7 +233,7 @@ def _write_mcap(session: reader.Session, into: Path) -> list[Path]:
         writer = Writer(stream)
         writer.start(profile="", library="adaptdrive")
         for table, schema, batches in flat_tables(session):
-            text = json.dumps(_json_schema(table, schema)).encode()
+            text = msgspec.json.encode(_json_schema(table, schema))
             kind = writer.register_schema(f"adaptdrive.{table}", "jsonschema", text)
             channel = writer.register_channel(f"/{session.info.drive}/{table}", "json", kind)
             for time_ns, message in _messages(session, batches):
@@ -260,12 +248,7 @@ def _messages(session: reader.Session, batches: Batches) -> Iterator[tuple[int, 
         for row in batch.to_pylist():
             utc = row.pop("utc")
             time_ns = round(utc.timestamp() * 1e6) * 1000 if utc else start_ns
-            finite = {name: _json_value(value) for name, value in row.items()}
-            yield time_ns, json.dumps(finite).encode()
-
-
-def _json_value(value: Any) -> Any:  # noqa: ANN401 - whatever a column holds
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+            yield time_ns, msgspec.json.encode(row)  # which writes null for NaN
 
 
 def _json_schema(table: str, schema: pa.Schema) -> dict[str, Any]:

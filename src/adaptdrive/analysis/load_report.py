@@ -1,7 +1,7 @@
 """The load of a record as a table, as values for JSON, and as a figure."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -71,40 +71,18 @@ def checks(load: IdentifiedLoad, unit: str, left_out: int = 0) -> Iterator[str]:
         )
 
 
+_OF_LOAD = (
+    *("parameters", "disputed", "input_offset", "delay_s", "delay_std_s", "noise", "noise_std"),
+    *("whiteness", "fit", "cross_fit", "block_s"),
+)
+
+
 def as_json(found: RecordLoad) -> dict[str, Any]:
-    """Return the result as values for JSON; unknown numbers are null."""
-    load = found.load
-    return {
-        "record": found.name,
-        "parameters": _values(load.parameters),
-        "simulated": _values(load.simulated_parameters),
-        "disputed": list(load.disputed),
-        "online": _values(found.online),
-        "nominal": found.nominal,
-        "model": _values(found.model),
-        "input_offset": _values({"offset": load.input_offset})["offset"],
-        "delay_s": load.delay_s,
-        "delay_std_s": load.delay_std_s,
-        "noise": list(load.noise),
-        "noise_std": load.noise_std,
-        "whiteness": load.whiteness,
-        "fit": known(load.fit),
-        "cross_fit": known(load.cross_fit),
-        "block_s": load.block_s,
-        "parts": len(load.residuals),
-        "left_out": found.left_out,
-    }
-
-
-def _values(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, float | None]]:
-    return {
-        name: {"value": known(one.value), "std": known(one.std)} for name, one in estimates.items()
-    }
-
-
-def known(value: float) -> float | None:
-    """Return a number as a value for JSON: null where it is unknown."""
-    return value if math.isfinite(value) else None
+    """Return the result for JSON."""
+    values = {name: getattr(found.load, name) for name in _OF_LOAD}
+    values |= {name: getattr(found, name) for name in ("online", "nominal", "model", "left_out")}
+    simulated, parts = found.load.simulated_parameters, len(found.load.residuals)
+    return {"record": found.name, "simulated": simulated, "parts": parts, **values}
 
 
 def _pm(estimate: Estimate) -> str:

@@ -15,7 +15,7 @@ top of those that are in B.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.signal import TransferFunction, freqz, tf2ss
+from scipy.signal import TransferFunction, freqz
 
 from adaptdrive.analysis.curves import Array, find_window, rows_within
 from adaptdrive.analysis.record import identify_session
@@ -35,7 +35,7 @@ from adaptdrive.control.design.pole_placement import Plant, discrete_model, is_s
 from adaptdrive.control.loads.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Estimate
-from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.session import TableName
 from adaptdrive.util.errors import IdentificationError, RecordingError
 
@@ -132,10 +132,15 @@ class Model:
     load: Load
     settings: ControllerSettings
     period_s: float
-    a: tuple[float, ...]
-    b: tuple[float, ...]
-    r: tuple[float, ...]
-    s: tuple[float, ...]
+    a: Array
+    b: Array
+    r: Array
+    s: Array
+
+    @property
+    def open_loop(self) -> tuple[Array, Array]:
+        """B S and A R, in q^-1."""
+        return np.convolve(self.b, self.s), np.convolve(self.a, self.r)
 
     def polynomials(self, part: Part) -> tuple[Array, Array]:
         """Return numerator and denominator, the highest power of s, or of z, first.
@@ -144,83 +149,76 @@ class Model:
             part: `load` for H(s) from u to the output, without its dead time; discrete with T:
                 `sampled` for B/A, `controller` for S/R, `loop` for L.
         """
-        if part == "load":
-            return _trimmed(self.load.numerator), np.array(self.load.denominator)
-        above = {"sampled": self.b, "controller": self.s, "loop": np.convolve(self.b, self.s)}
-        below = {"sampled": self.a, "controller": self.r, "loop": np.convolve(self.a, self.r)}
-        numerator, denominator = np.array(above[part]), np.array(below[part])
-        size = max(len(numerator), len(denominator))
-        whole = [np.pad(one, (0, size - len(one))) for one in (numerator, denominator)]
-        return _trimmed(whole[0]), whole[1]
+        above, below = {
+            "load": (np.array(self.load.numerator), np.array(self.load.denominator)),
+            "sampled": (self.b, self.a),
+            "controller": (self.s, self.r),
+            "loop": self.open_loop,
+        }[part]
+        size = max(len(above), len(below))
+        above, below = (np.pad(one, (0, size - len(one))) for one in (above, below))
+        return np.trim_zeros(above, "f"), below  # libraries warn of leading zeros
 
     def scipy(self, part: Part) -> Any:  # noqa: ANN401 - published without types
         """Return a part as `scipy.signal.TransferFunction`; arguments as of `polynomials`."""
-        pace = {} if part == "load" else {"dt": self.period_s}
-        return TransferFunction(*self.polynomials(part), **pace)
+        step = {} if part == "load" else {"dt": self.period_s}
+        return TransferFunction(*self.polynomials(part), **step)
 
     def control(self, part: Part) -> Any:  # noqa: ANN401 - an extra
         """Return a part as `control.TransferFunction`; arguments as of `polynomials`.
 
         Raises:
-            ModuleNotFoundError: python-control is not installed; the message names the extra.
+            ModuleNotFoundError: python-control is not installed: `adaptdrive[control]`.
         """
-        try:
-            from control import tf  # noqa: PLC0415 - an extra
-        except ModuleNotFoundError as problem:
-            advice = "python-control is missing: pip install 'adaptdrive[control]'"
-            raise ModuleNotFoundError(advice, name=problem.name) from problem
+        from control import tf  # noqa: PLC0415 - an extra
+
         return tf(*self.polynomials(part), 0 if part == "load" else self.period_s)
 
     @property
     def margins(self) -> LoopMargins:
         """Margins of the loop."""
-        return loop_margins(np.convolve(self.b, self.s), np.convolve(self.a, self.r), self.period_s)
+        return loop_margins(*self.open_loop, self.period_s)
+
+    @property
+    def closed_loop(self) -> Array:
+        """A R + B S, in q^-1: its roots are the poles of the closed loop."""
+        above, below = self.open_loop
+        return above + below
 
     @property
     def is_stable(self) -> bool:
         """True if the loop is stable when it is closed, with the margin of a possible load."""
-        return is_stable(Plant(list(self.a), list(self.b)).closed([*self.r[1:], *self.s]))
+        return is_stable(self.closed_loop.tolist())
 
     def response(self, rad_per_s: Array) -> NDArray[np.complex128]:
         """Return L at some frequencies."""
-        above, below = np.convolve(self.b, self.s), np.convolve(self.a, self.r)
-        found: NDArray[np.complex128] = freqz(above, below, rad_per_s * self.period_s)[1]
+        found: NDArray[np.complex128] = freqz(*self.open_loop, rad_per_s * self.period_s)[1]
         return found
+
+    def around(self, values: Array) -> Model:
+        """Return the loop of the same controller around a load with other parameters."""
+        load, a, b = _sampled(self.settings, self.load, values, self.period_s)
+        return replace(self, load=load, a=a, b=b)
 
     def drawn(self) -> Iterator[Model]:
         """Yield models whose loads are drawn from the normal distribution of the parameters.
 
         The controller stays; each call yields the same ones, and none without a covariance.
         """
-        if not (np.isfinite(self.covariance).all() and self.covariance.any()):
-            return
-        mean = np.array([one.value for one in self.parameters.values()])
-        generator = np.random.default_rng(0)
-        for values in generator.multivariate_normal(mean, self.covariance, _DRAWN):
-            possible = np.maximum(values, _LEAST_SHARE * mean).tolist()
-            load = with_parameters(self.load, possible)
-            a, b = sampled(self.settings, load, self.period_s)
-            yield replace(self, load=load, a=a, b=b)
+        if np.isfinite(self.covariance).all() and self.covariance.any():
+            mean = np.array([one.value for one in self.parameters.values()])
+            draws = np.random.default_rng(0).multivariate_normal(mean, self.covariance, _DRAWN)
+            yield from map(self.around, np.maximum(draws, _LEAST_SHARE * mean))
 
 
-def with_parameters(load: Load, values: list[float]) -> Load:
-    """Return a load with other physical parameters, in the order of its names."""
-    numerator, denominator = load.realise(values)
-    return replace(load, numerator=tuple(numerator), denominator=tuple(denominator))
-
-
-def sampled(
-    settings: ControllerSettings, load: Load, period_s: float
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return A and B that the design of the settings works with."""
-    numerator, denominator = list(load.numerator), list(load.denominator)
+def _sampled(
+    settings: ControllerSettings, load: Load, values: Array, period_s: float
+) -> tuple[Load, Array, Array]:
+    """Return a load with physical parameters, and the A and B that the design works with."""
+    numerator, denominator = load.realise(values.tolist())
     a, b = discrete_model(settings, load, numerator, denominator, period_s)
-    return tuple(a), tuple(b)
-
-
-def _trimmed(numerator: tuple[float, ...] | Array) -> Array:
-    """Return a numerator without leading zeros; libraries warn of these."""
-    return np.trim_zeros(np.array(numerator), "f")
+    load = replace(load, numerator=tuple(numerator), denominator=tuple(denominator))
+    return load, np.array(a), np.array(b)
 
 
 # Models of a configuration, of a session, and of what a running drive has published.
@@ -228,12 +226,10 @@ def _trimmed(numerator: tuple[float, ...] | Array) -> Array:
 
 def model_of_configuration(configuration: Configuration) -> Model:
     """Return the configured load, and the loop of the fixed controller."""
-    load, settings = build_load(configuration), controller_settings(configuration)
-    plant = Plant(*map(list, sampled(settings, load, configuration.load.period_s)))
-    gains = plant.gains(plant.asked(configuration.load.pole))
+    load = build_load(configuration)
     values = load.physical(list(load.numerator), list(load.denominator))
     known = {name: Estimate(one, 0.0) for name, one in zip(load.names, values, strict=True)}
-    return _model(configuration, load, known, gains)
+    return _model(configuration, load, known)
 
 
 def model_of_session(path: Path, begin_s: float | None = None, end_s: float | None = None) -> Model:
@@ -251,25 +247,18 @@ def model_of_session(path: Path, begin_s: float | None = None, end_s: float | No
         AdaptdriveError: The session cannot be read, or does not show its load.
     """
     session = read_session(path)
-    found, _ = identify_session(session, begin_s, end_s)
-    configuration = reconfigured(session.config_text, path / "config.toml", ())
-    names = tuple(found.load.parameters)
-    loads = candidate_loads(configuration)
-    load = next(one for one in loads if one.names == names)
-    load = replace(load, delay_s=found.load.delay_s)
-    *gains, _ = _last_gains(session, begin_s, end_s)
-    model = _model(configuration, load, found.load.parameters, gains)
-    return replace(model, name=session.path.name, covariance=found.load.covariance)
-
-
-def _last_gains(session: Session, begin_s: float | None, end_s: float | None) -> list[float]:
-    """Return the last gains that were recorded, t_0 behind them."""
-    window, last = find_window(session, begin_s, end_s), None
+    found = identify_session(session, begin_s, end_s)[0].load
+    window, gains = find_window(session, begin_s, end_s), None
     for _, batch in rows_within(session, TableName.SLOW, ("gains",), window):
-        last = batch.column("gains")[-1].as_py()
-    if not last:
+        gains = batch.column("gains")[-1].as_py()
+    if not gains:
         raise RecordingError(session.path, "it holds no gains: no slow period has passed")
-    return list(last)
+    configuration = reconfigured(session.config_text, path / "config.toml", ())
+    names = tuple(found.parameters)
+    load = next(one for one in candidate_loads(configuration) if one.names == names)
+    load = replace(load, delay_s=found.delay_s)
+    model = _model(configuration, load, found.parameters, gains[:-1])
+    return replace(model, name=session.path.name, covariance=found.covariance)
 
 
 def model_of_estimates(
@@ -295,58 +284,42 @@ def model_of_estimates(
 
 
 def _model(
-    configuration: Configuration, load: Load, known: dict[str, Estimate], gains: Sequence[float]
+    configuration: Configuration,
+    load: Load,
+    known: dict[str, Estimate],
+    gains: Sequence[float] = (),
 ) -> Model:
-    settings, period_s = controller_settings(configuration), configuration.load.period_s
-    load = with_parameters(load, [one.value for one in known.values()])
-    a, b = sampled(settings, load, period_s)
+    """Return the loop of some gains; that of the fixed controller without any."""
+    settings, section = controller_settings(configuration), configuration.load
+    values = np.array([one.value for one in known.values()])
+    load, a, b = _sampled(settings, load, values, section.period_s)
+    if not gains:
+        plant = Plant(a.tolist(), b.tolist())
+        gains = plant.gains(plant.asked(section.pole))
     taps = len(gains) - build_load(configuration).order - 1
-    return Model(
-        name=configuration.drive.name,
-        parameters=known,
-        covariance=np.diag([one.std**2 for one in known.values()]),
-        load=load,
-        settings=settings,
-        period_s=period_s,
-        a=a,
-        b=b,
-        r=(1.0, *gains[:taps]),
-        s=tuple(gains[taps:]),
-    )
+    deviations = np.array([one.std for one in known.values()])
+    loop = np.array([1.0, *gains[:taps]]), np.array(gains[taps:])
+    name, covariance = configuration.drive.name, np.diag(deviations**2)
+    return Model(name, known, covariance, load, settings, section.period_s, a, b, *loop)
 
 
 # The text of a model for MATLAB and its Control System Toolbox.
 
-_SYMBOLS: dict[Part, tuple[str, str]] = {
-    "load": ("H", "load, from its input u to the output"),
-    "sampled": ("G", "load at the slow period, with every delay of the loop"),
-    "controller": ("C", "feedback S/R, from the error to u"),
-    "loop": ("L", "open loop G C"),
-}
+_SYMBOLS: dict[Part, str] = {"load": "H", "sampled": "G", "controller": "C", "loop": "L"}
+_LEGEND = """% H: load, from its input u to the output; G: at the slow period, with every delay
+% C: feedback S/R, from the error to u; L: open loop G C"""
 
 
 def as_matlab(model: Model) -> str:
     """Return a script that makes each part of a model as `tf`, and as `ss`: `L` and `L_ss`."""
-    rows = [f"% {model.name}, in SI units; u = {model.load.input_gain:.9g}"]
-    rows[0] += f" * v^{model.load.input_exponent}, v what the drive gives"
-    rows += [
-        f"% {name} = {one.value:.9g}, deviation {one.std:.3g}"
-        for name, one in model.parameters.items()
-    ]
-    for part, (symbol, meaning) in _SYMBOLS.items():
-        numerator, denominator = model.polynomials(part)
-        pace = f", {model.period_s!r}"
-        if part == "load":
-            pace = f", 'InputDelay', {model.load.delay_s!r}" if model.load.delay_s else ""
-        matrices = tf2ss(numerator, denominator)
-        rows += [
-            f"% {symbol}: {meaning}",
-            f"{symbol} = tf({_matrix([numerator])}, {_matrix([denominator])}{pace});",
-            f"{symbol}_ss = ss({', '.join(_matrix(one) for one in matrices)}{pace});",
-        ]
+    load = model.load
+    entry = f"u = {load.input_gain:.9g} * v^{load.input_exponent}, v what the drive gives"
+    rows = [f"% {model.name}, in SI units; {entry}"]
+    for name, one in model.parameters.items():
+        rows.append(f"% {name} = {one.value:.9g}, deviation {one.std:.3g}")
+    rows.append(_LEGEND)
+    for part, symbol in _SYMBOLS.items():
+        above, below = (" ".join(map(repr, one.tolist())) for one in model.polynomials(part))
+        time = f"'InputDelay', {load.delay_s!r}" if part == "load" else f"{model.period_s!r}"
+        rows.append(f"{symbol} = tf([{above}], [{below}], {time});\n{symbol}_ss = ss({symbol});")
     return "\n".join(rows) + "\n"
-
-
-def _matrix(rows: Iterable[Iterable[float]]) -> str:
-    """Return a matrix with every digit of its numbers."""
-    return f"[{'; '.join(' '.join(repr(float(one)) for one in row) for row in rows)}]"

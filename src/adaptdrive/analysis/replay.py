@@ -7,7 +7,7 @@ decision took effect, which may be late, and on which snapshots the daemon decid
 import math
 import struct
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
@@ -272,6 +272,22 @@ def reconfigured(text: str, source: Path, settings: Sequence[str]) -> Configurat
     if flaws:
         raise ConfigurationError(source, flaws)
     return validate_configuration(tables, source)
+
+
+def acts(text: str, source: Path, setting: str, acting: Callable[[Configuration], object]) -> bool:
+    """Return whether a setting changes what acts; one that needs another setting, too, does.
+
+    Args:
+        text: The configuration, as TOML.
+        source: Where it came from.
+        setting: `KEY=VALUE`.
+        acting: Returns what of a configuration acts.
+    """
+    try:
+        changed = reconfigured(text, source, (setting,))
+    except ConfigurationError:
+        return True
+    return acting(changed) != acting(reconfigured(text, source, ()))
 
 
 def _set(tables: dict[str, Any], setting: str) -> Flaw | None:

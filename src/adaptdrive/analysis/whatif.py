@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adaptdrive.analysis import closed_loop, curves, excerpts, figures, load_report
+from adaptdrive.analysis import closed_loop, curves, excerpts, figures
 from adaptdrive.analysis.curves import Array, Response, response_of
 from adaptdrive.analysis.record import identify_session
-from adaptdrive.analysis.replay import reconfigured
+from adaptdrive.analysis.replay import acts, reconfigured
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
@@ -87,12 +87,13 @@ def what_if(
         made = closed_loop.simulate(configuration, plant, orders, volts, prior)
         return _response(section, run, made.columns, part.begin_s, made.fault)
 
+    text = session.config_text
     return Comparison(
         session=session,
         recorded=_response(section, run, run.columns, part.begin_s),
         repeated=simulated(own),
         changed=simulated(changed),
-        idle=tuple(one for one in settings if _is_idle(session, own, source, one)),
+        idle=tuple(one for one in settings if not acts(text, source, one, _acting)),
     )
 
 
@@ -107,14 +108,6 @@ def _acting(configuration: Configuration) -> tuple[object, ...]:
     drives = configuration.drive.line_voltage_V, configuration.bus.ticks_per_reading
     settings = controller_settings(configuration)
     return settings, build_load(configuration), configuration.load.pole, *drives
-
-
-def _is_idle(session: Session, own: Configuration, source: Path, setting: str) -> bool:
-    """Return whether a setting does not act on the loop; one that needs others does."""
-    try:
-        return _acting(reconfigured(session.config_text, source, (setting,))) == _acting(own)
-    except ConfigurationError:
-        return False
 
 
 def _trusted(
@@ -179,12 +172,9 @@ def as_text(comparison: Comparison) -> str:
 
 
 def as_json(comparison: Comparison) -> dict[str, Any]:
-    """Return the comparison as values for JSON; unknown numbers are null."""
-    return {
-        name: {key: load_report.known(value) for key, value in asdict(one.quality).items()}
-        | {"fault": one.fault}
-        for name, one in comparison.responses.items()
-    }
+    """Return the comparison for JSON."""
+    responses = comparison.responses.items()
+    return {name: asdict(one.quality) | {"fault": one.fault} for name, one in responses}
 
 
 def draw_comparison(comparison: Comparison, settings: tuple[str, ...]) -> bytes:

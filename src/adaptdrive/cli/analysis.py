@@ -7,7 +7,6 @@ import re
 import sys
 import webbrowser
 from dataclasses import dataclass, replace
-from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -54,7 +53,7 @@ class SessionView:
 
     def present(self, text: str, content: object, result: Path) -> int:
         """Print a text or its content as JSON, and open a file when asked for."""
-        print(dumps(content) if self.as_json else text)
+        options.print_json(content) if self.as_json else print(text)
         if self.show:
             webbrowser.open(result.absolute().as_uri())
         return 0
@@ -93,9 +92,11 @@ def _plot_loop(path: Path, view: SessionView) -> int:
     with options.needing("analysis"):
         from adaptdrive.analysis import bode, model  # noqa: PLC0415 - they are large
     figure = view.folder(path) / "bode.png"
-    spread = bode.spread_of(model.model_of_session(path, view.begin, view.end))
-    replace_result(figure, bode.draw_loop(spread))
-    return view.present(f"{bode.as_text(spread)}\n\n{figure}", bode.as_json(spread), figure)
+    found = model.model_of_session(path, view.begin, view.end)
+    drawn = list(found.drawn())
+    spread = bode.spread_of(found, drawn)
+    replace_result(figure, bode.draw_loop(found, drawn, spread.margins))
+    return view.present(f"{bode.as_text(found, spread)}\n\n{figure}", spread, figure)
 
 
 def identify(  # noqa: PLR0913 - one parameter for each option
@@ -158,10 +159,9 @@ def whatif(
     """
     with options.needing("analysis"):
         from adaptdrive.analysis import whatif  # noqa: PLC0415 - it is large
-        from adaptdrive.analysis.whatif import what_if  # noqa: PLC0415
     path = opened(session).path
     figure = view.folder(path) / "whatif.png"
-    found = what_if(path, settings, view.begin, view.end)
+    found = whatif.what_if(path, settings, view.begin, view.end)
     for one in found.idle:
         print(f"adaptdrive: {one}: has no effect on the loop", file=sys.stderr)
     replace_result(figure, whatif.draw_comparison(found, settings))
@@ -198,8 +198,7 @@ def export(
             from adaptdrive.analysis.export import export as export_session  # noqa: PLC0415
 
             files += export_session(path, to, folder)
-    paths = [str(one) for one in files]
-    print(dumps(paths) if as_json else "\n".join(paths))
+    options.print_each(((str(one), str(one)) for one in files), as_json)
     return 0
 
 

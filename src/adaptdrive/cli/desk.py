@@ -12,7 +12,6 @@ import functools
 import os
 import re
 import sys
-import threading
 import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -21,9 +20,8 @@ from http import HTTPStatus
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Any
-from urllib.parse import parse_qs, quote, urlsplit
+from urllib.parse import quote
 
 from cyclopts import Parameter, validators
 
@@ -33,7 +31,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.recording import session
 from adaptdrive.tui.terminal import ended_once, print_last, refuse_dumb_terminal
 from adaptdrive.util.clock import in_thread
-from adaptdrive.util.errors import AdaptdriveError, ConfigurationError, RecordingError, first_error
+from adaptdrive.util.errors import AdaptdriveError, ConfigurationError, first_error
 
 # `adaptdrive start`: one drive on a desk, with all that it needs, in one terminal.
 
@@ -228,7 +226,7 @@ class _Desk:
         self._print(f"panel: {panel_address(page, address)}")
 
 
-# `adaptdrive panel`: the panel's folder, sessions and reports of them on loopback, for a desk.
+# `adaptdrive panel`: the panel's folder and the recorded sessions on loopback, for a desk.
 
 FOLDER = Path(__file__).parents[1] / "panel"
 HEADERS = {
@@ -243,16 +241,10 @@ _SERVED = re.compile(
     r"/sessions/[\w-]+/((?:[^/.][^/]*/)*(?:index\.json|overview\.json|[^/.]+\.parquet))"
 )
 """Path of what the page reads of sessions, below a folder of each drive."""
-_REPORT, _SESSIONS = "/report.html", "/sessions/"
-_REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'"
-_ONE_REPORT = threading.Lock()
-"""Reports are drawn one by one: each takes a processor for seconds."""
 
 
 class PanelHandler(SimpleHTTPRequestHandler):
-    """Serves the files of the panel, sessions and reports; lists no folder and writes no line."""
-
-    _headers_sent = HEADERS
+    """Serves the files of the panel and of sessions; lists no folder and writes no line."""
 
     def __init__(self, *connection: Any, sessions: Path) -> None:  # noqa: ANN401 - the base's
         self._sessions = sessions
@@ -263,47 +255,26 @@ class PanelHandler(SimpleHTTPRequestHandler):
         with suppress(ConnectionError):
             super().handle()
 
-    def do_GET(self) -> None:
-        """Send a file of the panel or of a session, or the report of a drive's last session."""
-        asked = urlsplit(self.path)
-        if asked.path.startswith((_REPORT, _SESSIONS)) and self._is_foreign():
-            self.send_error(HTTPStatus.FORBIDDEN)
-        elif asked.path != _REPORT:
-            super().do_GET()
-        else:
-            self._send_report(parse_qs(asked.query).get("drive", [""])[0])
-
     def _is_foreign(self) -> bool:
         """Return whether another site asks, by a link or by a name that it gave to this host."""
         host = self.headers.get("Host", "").rpartition(":")[0]
         site = self.headers.get("Sec-Fetch-Site", "none")
         return host not in ("127.0.0.1", "localhost") or site not in ("none", "same-origin")
 
-    def _send_report(self, drive: str) -> None:
-        try:
-            with _ONE_REPORT:
-                page = last_report(drive, self._sessions)
-        except (AdaptdriveError, OSError) as problem:
-            self.send_error(HTTPStatus.NOT_FOUND, explain=str(problem))
-            return
-        self._headers_sent = HEADERS | {"Content-Security-Policy": _REPORT_POLICY}
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", "text/html; charset=utf-8")
-        self.send_header("Content-Length", str(len(page)))
-        self.end_headers()
-        self.wfile.write(page)
-
     def end_headers(self) -> None:
         """Add the headers that keep foreign scripts and frames away."""
-        for name, value in self._headers_sent.items():
+        for name, value in HEADERS.items():
             self.send_header(name, value)
         super().end_headers()
 
     def translate_path(self, path: str) -> str:
-        """Return the file of a request, that of an unknown page where its path can be none."""
+        """Return the file of a request, that of an unknown page where its path can be none.
+
+        What of sessions the page does not read, and any of it for another site, is unknown too.
+        """
         file = super().translate_path(path)
         of_panel = f"/{Path(file).relative_to(FOLDER)}" if file.startswith(str(FOLDER)) else ""
-        if found := _SERVED.fullmatch(of_panel):
+        if (found := _SERVED.fullmatch(of_panel)) and not self._is_foreign():
             file = str(self._sessions / found[1])
         return file if file.isprintable() else str(FOLDER / "unknown")
 
@@ -333,14 +304,13 @@ def panel_server(port: int, sessions: Path) -> ThreadingHTTPServer:
 
 
 def panel_address(port: int, broker: str) -> str:
-    """Return the address of the page, which links to reports where they can be drawn.
+    """Return the address of the page.
 
     Args:
         port: TCP port of the server.
         broker: Address of the broker's WebSocket listener.
     """
-    report = "&report" if find_spec("matplotlib") else ""
-    return f"http://127.0.0.1:{port}/?broker={quote(broker, safe=':/')}{report}"
+    return f"http://127.0.0.1:{port}/?broker={quote(broker, safe=':/')}"
 
 
 def panel(
@@ -365,28 +335,3 @@ def panel(
             in_thread(functools.partial(webbrowser.open, address), "browser")
         server.serve_forever()
     return 0
-
-
-def last_report(drive: str, sessions: Path) -> bytes:
-    """Draw the last session of a drive, the running one as far as it is; return its HTML page.
-
-    Args:
-        drive: Name of the drive.
-        sessions: Folder of the sessions.
-
-    Raises:
-        AdaptdriveError: There is none, or it cannot be read.
-        OSError: As above.
-    """
-    from adaptdrive.analysis.figures import plot  # noqa: PLC0415 - it is large
-
-    with TemporaryDirectory() as folder:
-        _, report = plot(_last_session(drive, sessions), into=Path(folder))
-        return report.read_bytes()
-
-
-def _last_session(drive: str, sessions: Path) -> Path:
-    for path in reversed(list(session.session_directories(sessions))):
-        if session.read_info(path).drive == drive:
-            return path
-    raise RecordingError(sessions, session.NO_SESSION)

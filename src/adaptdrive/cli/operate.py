@@ -349,9 +349,7 @@ def shell(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
         return print_error("adaptdrive", str(problem), NO_ANSWER)
     with connected:
         print(f"{connected!r}\n{_SHELL}")
-        argv = [
-            "--no-banner",
-            "--InteractiveShell.xmode=Minimal",
-        ]  # a refusal is no error of the program
+        # a refusal is no error of the program
+        argv = ["--no-banner", "--InteractiveShell.xmode=Minimal"]
         start_ipython(argv=argv, user_ns={"drive": connected, "lab": lab})
     return ACCEPTED

@@ -161,8 +161,9 @@ Integer = Annotated[int, Parameter(converter=_read_integer)]
 
 
 def print_json(content: object) -> None:
-    """Print something as JSON, for programs."""
-    print(msgspec.json.format(msgspec.json.encode(content)).decode())
+    """Print something as JSON, for programs; numbers that are not finite are null."""
+    # what is of no type of JSON is a number of numpy
+    print(msgspec.json.format(msgspec.json.encode(content, enc_hook=float)).decode())
 
 
 def print_each(found: Iterable[tuple[str, object]], as_json: bool) -> int:

@@ -289,7 +289,7 @@ def replay(session: str | None = None, /, *, settings: Settings = (), as_json: J
     configuration = replaying.reconfigured(text, source, settings)
     report = replaying.replay(record, controller_at_start(record.info, configuration))
     for setting in settings:
-        if not _acts(text, source, setting):
+        if not replaying.acts(text, source, setting, _acting):
             print(f"adaptdrive: {setting}: {_WITHOUT_EFFECT}", file=sys.stderr)
     if as_json:
         print_json({"bit_equal": report.exact, **asdict(report)})
@@ -317,15 +317,9 @@ _WITHOUT_EFFECT = (
 )
 
 
-def _acts(text: str, source: Path, setting: str) -> bool:
-    """Return whether a setting changes anything of the controller that is run again."""
-    try:
-        changed = replaying.reconfigured(text, source, (setting,))
-    except ConfigurationError:  # it needs another setting, too
-        return True
-    recorded = replaying.reconfigured(text, source, ())
-    acting = [(controller_settings(one), build_load(one)) for one in (recorded, changed)]
-    return acting[0] != acting[1]
+def _acting(configuration: Configuration) -> object:
+    """Return what of a configuration acts on the controller that is run again."""
+    return controller_settings(configuration), build_load(configuration)
 
 
 _check_weeks = refusing(lambda weeks: 0.0 < weeks < math.inf, "Weeks are a number above 0.")

@@ -14,26 +14,21 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from numpy.typing import NDArray
-from scipy.signal import freqz, lfilter
+from scipy.signal import lfilter
 from tomlkit.exceptions import TOMLKitError
 
+from adaptdrive.analysis.model import LoopMargins, Model, model_of_configuration
 from adaptdrive.analysis.replay import reconfigured
-from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import read_text
 from adaptdrive.config.load import LoadTraits
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.design.pole_placement import Plant, discrete_model
+from adaptdrive.control.design.noise import DELAY_MARGIN, MODULUS_MARGIN
 from adaptdrive.control.loads.load import to_input
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification import proposed_model
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.util.errors import CommissionError, ConfigurationError, Flaw
 
-Array = NDArray[np.float64]
-
-_FREQUENCIES = 4000
 _STEPS = 400
 
 _RATIO_MIN = (0.1, 0.3)
@@ -60,70 +55,18 @@ _FAST_POLES = (0.50, 0.55, 0.60, 0.65)
 """Poles that are tried first for a bath whose sensor lags: what it shows late is asked for soon."""
 
 _POLES = (0.70, 0.75, 0.80, 0.85, 0.90, 0.93, 0.95, 0.97)
-_LEAST_GAIN = 2.0
-_LEAST_DELAY = 0.5
-"""Least delay margin in slow periods."""
+_LEAST_GAIN = 1.0 / (1.0 - MODULUS_MARGIN)
+"""Least gain margin: that of the adaptive law. No pole brings a load without a lag, such as a
+battery, to 2: at half the sampling rate its L lies more than half the way to -1."""
 
 _STEP_SHARE = 0.1
 _EFFORT_SHARE = 0.5
 """Share of the range of V_c that a set-point step of a tenth of its range may take."""
 
 
-@dataclass(frozen=True, slots=True)
-class Margins:
-    """Distance of a loop from instability, by its model.
-
-    Attributes:
-        gain: Factor of the load's gain at which the loop becomes unstable.
-        delay_s: Additional dead time at which it becomes unstable.
-        effort: Largest change of the load's input after a step of the set-point, over the step.
-    """
-
-    gain: float
-    delay_s: float
-    effort: float
-
-
-def margins_of(configuration: Configuration) -> Margins:
-    """Return the margins of the fixed controller on the configured model.
-
-    Args:
-        configuration: The drive, with the model of the load.
-    """
-    load, section = build_load(configuration), configuration.load
-    settings = controller_settings(configuration)
-    numerator, denominator = list(load.numerator), list(load.denominator)
-    a, b = discrete_model(settings, load, numerator, denominator, section.period_s)
-    plant = Plant(a, b)
-    r, s = plant.place(plant.asked(section.pole))
-    omega = np.linspace(math.pi / _FREQUENCIES, math.pi, _FREQUENCIES)
-    _, loop = freqz(np.convolve(b, s), np.convolve(a, r), omega)
-    return Margins(
-        gain=_gain_margin(loop),
-        delay_s=_delay_margin(loop, omega) * section.period_s,
-        effort=_effort(plant, r, s),
-    )
-
-
-def _gain_margin(loop: NDArray[np.complex128]) -> float:
-    """Return 1/|L| at the crossing of the negative real axis that is nearest to -1."""
-    crossings = np.flatnonzero(np.diff(np.sign(loop.imag)) != 0)
-    sizes = [abs(loop[i]) for i in crossings if loop[i].real < 0.0]
-    below = [size for size in sizes if size < 1.0]
-    return 1.0 / max(below) if below else math.inf
-
-
-def _delay_margin(loop: NDArray[np.complex128], omega: Array) -> float:
-    """Return the least phase margin over frequency, in slow periods."""
-    crossings = np.flatnonzero(np.diff(np.sign(np.abs(loop) - 1.0)) != 0)
-    margins = [((np.angle(loop[i]) + math.pi) % (2.0 * math.pi)) / omega[i] for i in crossings]
-    return float(min(margins, default=math.inf))
-
-
-def _effort(plant: Plant, r: list[float], s: list[float]) -> float:
+def _effort(model: Model) -> float:
     """Return the largest input after a unit step of the set-point."""
-    closed = plant.closed([*r[1:], *s])
-    inputs = lfilter(sum(s) * np.array(plant.a), closed, np.ones(_STEPS))
+    inputs = lfilter(model.s.sum() * model.a, model.closed_loop, np.ones(_STEPS))
     return float(np.abs(inputs).max())
 
 
@@ -141,7 +84,7 @@ class Proposal:
     values: dict[str, float | int]
     model: dict[str, Estimate]
     configuration: Configuration
-    margins: Margins
+    margins: LoopMargins
 
 
 def propose(
@@ -169,11 +112,11 @@ def propose(
     for pole in (*_FAST_POLES, *_POLES) if "lag_s" in model else _POLES:
         tried = {**values, "load.pole": pole}
         configuration = reconfigured(text, source, [f"{key}={tried[key]!r}" for key in tried])
-        margins = margins_of(configuration)
-        if _suffices(margins, configuration):
-            return Proposal(tried, model, configuration, margins)
+        loop = model_of_configuration(configuration)
+        if _suffices(loop, configuration):
+            return Proposal(tried, model, configuration, loop.margins)
     raise CommissionError(
-        f"no pole up to {_POLES[-1]:g} gives a gain margin of {_LEAST_GAIN:g}, "
+        f"no pole up to {_POLES[-1]:g} gives a gain margin of {_LEAST_GAIN:.3g}, "
         "a delay margin of half a slow period, and steps within [drive.limits]"
     )
 
@@ -229,19 +172,16 @@ def _rounded(value: float, digits: int = 4) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def _suffices(margins: Margins, configuration: Configuration) -> bool:
-    section, limits = configuration.load, configuration.drive.limits
-    if not (math.isfinite(margins.effort) and margins.gain >= _LEAST_GAIN):
+def _suffices(loop: Model, configuration: Configuration) -> bool:
+    section, limits, margins = configuration.load, configuration.drive.limits, loop.margins
+    if margins.gain < _LEAST_GAIN or margins.delay_s < DELAY_MARGIN * section.period_s:
         return False
-    if margins.delay_s < _LEAST_DELAY * section.period_s:
-        return False
-    load = build_load(configuration)
     low, high = (
-        to_input(volts, load.input_gain, load.input_exponent)
+        to_input(volts, loop.load.input_gain, loop.load.input_exponent)
         for volts in (limits.boost_reference_min_V, limits.boost_reference_max_V)
     )
     step = _STEP_SHARE * (section.reference_max - section.reference_min)
-    return margins.effort * step <= _EFFORT_SHARE * (high - low)
+    return _effort(loop) * step <= _EFFORT_SHARE * (high - low)
 
 
 # The configuration file with new values: other comments stay, and the old file is kept.

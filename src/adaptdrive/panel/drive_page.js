@@ -24,7 +24,7 @@ const DrivePage = (() => {
       alarm.root,
       latest,
       Dom.make("div.columns", {}, Dom.make("div.left", {}, now.root, now.details), plotted, controls.root),
-      Dom.make("section", {}, Dom.make("h2", {}, "Events"), events, ...report(drive.name)),
+      Dom.make("section", {}, Dom.make("h2", {}, "Events"), events),
     );
     const plots = Plots.open(plotted, drive), health = HealthPlot.open(plotted, drive);
     Link.askHistory(drive.name);
@@ -54,12 +54,6 @@ const DrivePage = (() => {
     }
     document.addEventListener("keydown", press);
     return { draw, outdated: () => drive.build !== built, end() { document.removeEventListener("keydown", press); plots.end(); health.end(); } };
-  }
-
-  /** A link to the plot of the session, where the server of the page draws it. @param {string} name */
-  function report(name) {
-    if (!new URLSearchParams(location.search).has("report")) return [];
-    return [Dom.make("a.report", { href: `report.html?drive=${name}`, target: "_blank", rel: "noopener" }, "Plot of the last session, with all its events")];
   }
 
   /** Whether a letter that is typed there means something else. @param {EventTarget|null} target */

@@ -8,9 +8,7 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.lab import Drive
 from adaptdrive.mqtt import connection
-from adaptdrive.util.errors import RefusedError
 from tests.support import Broker
 from tests.unit.analysis.test_python_page import examples
 from tests.unit.mqtt.peers import load_report, serving
@@ -28,5 +26,3 @@ async def test_the_example_on_a_running_drive_runs(mosquitto: Broker, tmp_path: 
             bench.hub.publish(load_report(7))
             await asyncio.sleep(0.05)
         assert isinstance(stepping.result(), float)
-        with pytest.raises(RefusedError, match="outside"):
-            await Drive("motor", broker).set_setpoint(9.0)

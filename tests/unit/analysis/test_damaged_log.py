@@ -77,7 +77,7 @@ def test_its_replay_is_that_of_the_sound_session(
 
 def test_its_tables_come_with_a_warning(damaged: Path) -> None:
     with pytest.warns(UserWarning, match=r"events-0001\.parquet"):
-        tables = load_session(damaged, "pandas")
+        tables = load_session(damaged)
     assert len(tables.ticks) == read_session(damaged).ticks.num_rows
     assert len(tables.events) == 0
 

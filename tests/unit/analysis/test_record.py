@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,7 @@ from adaptdrive.analysis.columns import columns_of_file, columns_of_table, quant
 from adaptdrive.analysis.load_report import as_text
 from adaptdrive.analysis.record import RecordView, read_record
 from adaptdrive.cli import main
-from adaptdrive.lab import RecordOptions, identify, load_session, simulate
+from adaptdrive.lab import identify, load_session, simulate
 from adaptdrive.util.errors import IdentificationError
 from tests.support import sample
 from tests.unit.analysis.test_simulation import ReferenceMotor, square
@@ -344,7 +345,7 @@ GOOD = {"time": [2 * n for n in range(60)], "u": [0, 5] * 30, "y": list(range(60
 def test_bad_files_get_one_clear_error(
     tmp_path: Path,
     change: dict[str, list[object] | None],
-    options: RecordOptions,
+    options: dict[str, Any],
     problem: str,
 ) -> None:
     columns = {name: values for name, values in (GOOD | change).items() if values is not None}

@@ -42,7 +42,7 @@ def test_the_on_line_estimate_stands_beside_it(found: RecordLoad, session_path: 
     text = as_text(found)
     assert f"{last['value']:.5g}" in text
     assert "[load.model]  # proposed\ngain = 0.01" in text
-    assert as_json(found)["model"]["gain"]["std"] == found.load.parameters["gain"].std
+    assert as_json(found)["model"]["gain"].std == found.load.parameters["gain"].std
 
 
 def test_a_session_with_missed_ticks_is_identified(tmp_path: Path, session_path: Path) -> None:

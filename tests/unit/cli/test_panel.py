@@ -112,13 +112,14 @@ def test_nothing_else_of_sessions_is_served(port: int, path: str) -> None:
     refusal.value.close()
 
 
-def test_another_site_reads_no_session(port: int) -> None:
-    """By a name of its own for this host."""
-    address = f"http://127.0.0.1:{port}/sessions/motor/index.json"
-    asked = urllib.request.Request(address, headers={"Host": f"elsewhere:{port}"})
+@pytest.mark.parametrize("path", ["sessions/motor/index.json", "%73essions/motor/index.json"])
+@pytest.mark.parametrize("header", [("Host", "elsewhere:8088"), ("Sec-Fetch-Site", "cross-site")])
+def test_another_site_reads_no_session(port: int, path: str, header: tuple[str, str]) -> None:
+    """Neither by a link nor by a name of its own for this host."""
+    asked = urllib.request.Request(f"http://127.0.0.1:{port}/{path}", headers=dict([header]))
     with pytest.raises(urllib.error.HTTPError) as refusal:
         urllib.request.urlopen(asked)
-    assert refusal.value.code == 403
+    assert refusal.value.code == 404
     refusal.value.close()
 
 
@@ -129,4 +130,4 @@ def test_a_port_in_use_is_named(port: int, sessions: Path) -> None:
 
 def test_the_address_carries_the_broker() -> None:
     address = panel_address(8088, "ws://host:8083/mqtt?x")
-    assert address == "http://127.0.0.1:8088/?broker=ws://host:8083/mqtt%3Fx&report"
+    assert address == "http://127.0.0.1:8088/?broker=ws://host:8083/mqtt%3Fx"

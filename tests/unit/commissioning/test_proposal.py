@@ -61,9 +61,10 @@ def roots(proposal: Proposal, factor: float) -> float:
     return float(np.abs(np.roots(closed)).max())
 
 
+@pytest.mark.parametrize("kind", sorted(KINDS))
 @pytest.mark.parametrize("seed", sample([2, 0, 1], 1))
-def test_the_gain_margin_is_where_the_loop_becomes_unstable(seed: int) -> None:
-    _, proposal, _, _ = proposed("motor", seed)
+def test_the_gain_margin_is_where_the_loop_becomes_unstable(kind: str, seed: int) -> None:
+    _, proposal, _, _ = proposed(kind, seed)
     assert roots(proposal, 1.0) < 1.0
     assert roots(proposal, 0.98 * proposal.margins.gain) < 1.0
     assert roots(proposal, 1.02 * proposal.margins.gain) > 1.0
@@ -111,7 +112,7 @@ def test_the_proposed_configuration_has_the_identified_load(kind: str) -> None:
     values = load.physical(list(load.numerator), list(load.denominator))
     for name, value in zip(load.names, values, strict=True):
         assert value == pytest.approx(draw.truth[name], rel=0.3)
-    assert proposal.margins.gain >= 2.0
+    assert proposal.margins.gain >= 1.75
     assert prediction.quality.overshoot < 0.1
     assert prediction.quality.unsettled == 0
 

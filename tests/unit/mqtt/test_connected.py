@@ -14,6 +14,7 @@ from adaptdrive.connected import ConnectedDrive, Published, Value, accepted
 from adaptdrive.mqtt import contract
 from adaptdrive.mqtt.client import NoAnswerError
 from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import REQUESTS
 from adaptdrive.util.errors import RefusedError
 from tests.unit.mqtt.peers import STANDBY, drive_report, load_report, profile
 
@@ -66,7 +67,7 @@ def test_each_field_of_telemetry_and_state_is_a_value(published: Published) -> N
         *contract.load_message(load_report(7), NOW, about.output),
     ]
     assert len(published.names) == len(fields)
-    assert not set(published.names) & set(dir(ConnectedDrive))
+    assert not set(published.names) & {*dir(ConnectedDrive), *REQUESTS}
     for name in published.names:
         published.value(name)
 
@@ -84,6 +85,16 @@ def test_a_value_is_a_number_with_a_unit(published: Published) -> None:
     gain = published.value("estimates")["gain"]
     assert (repr(gain), math.isnan(gain.std)) == ("0.0111 V/V", True)
     assert repr(Value(1.0, "rad/s", 0.034)) == "1 ± 0.034 rad/s"
+
+
+def test_each_command_is_a_method_with_its_description(published: Published) -> None:
+    drive = object.__new__(ConnectedDrive)
+    drive.__dict__.update(_name="pump", _published=published)
+    assert {*REQUESTS, *published.names} <= set(dir(drive))
+    for verb, request in REQUESTS.items():
+        method = getattr(drive, verb)
+        assert callable(method)
+        assert verb == "waveform" or method.__doc__ == request.__doc__
 
 
 def test_an_old_value_is_refused(published: Published, clock: Clock) -> None:

@@ -1,4 +1,4 @@
-"""A drive as a program of the lab sees it: live, or not at all."""
+"""A drive as a program on asyncio sees it: live, or not at all."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from aiomqtt import Message
 
-from adaptdrive.lab import Drive
-from adaptdrive.mqtt.client import NoAnswerError, follow
+from adaptdrive.connected import accepted
+from adaptdrive.mqtt.client import follow, read_status, send_command, telemetry
 from adaptdrive.mqtt.connection import Broker
 from adaptdrive.mqtt.contract import Reply, encode
 from adaptdrive.runtime.reports import State
@@ -32,15 +32,14 @@ def leave_behind(broker: MemoryBroker, availability: str) -> None:
         broker.publish(f"adaptdrive/motor/{topic}", payload.encode(), retain=True)
 
 
-@pytest.mark.parametrize(
-    ("availability", "problem"), [("offline", "offline"), ("online", "no telemetry")]
-)
+@pytest.mark.parametrize("availability", ["offline", "online"])
 async def test_the_state_of_a_daemon_that_is_gone_is_no_state(
-    broker: MemoryBroker, availability: str, problem: str
+    broker: MemoryBroker, availability: str
 ) -> None:
     leave_behind(broker, availability)
-    with pytest.raises(NoAnswerError, match=problem):
-        await Drive("motor", Broker()).state()
+    found = await read_status(Broker(), "motor", 5.0)
+    assert (found.online, found.silent) == ((availability == "online"),) * 2
+    assert not found.live
 
 
 @pytest.mark.parametrize("kind", ["over-voltage", "of-a-later-version", None])
@@ -62,7 +61,7 @@ async def test_a_refusal_for_a_trip_names_its_kind(broker: MemoryBroker, kind: s
         await client.subscribe("adaptdrive/motor/command/#")
         talking = asyncio.create_task(talk())
         with pytest.raises(RefusedError) as refusal:
-            await Drive("motor", Broker()).reset()
+            accepted(await send_command(Broker(), "motor", "reset", None, 5.0))
         talking.cancel()
     assert refusal.value.kind == (kind or "")
 
@@ -70,7 +69,7 @@ async def test_a_refusal_for_a_trip_names_its_kind(broker: MemoryBroker, kind: s
 async def test_telemetry_that_the_broker_has_kept_is_shown_nowhere(broker: MemoryBroker) -> None:
     leave_behind(broker, "online")
     async with (
-        aclosing(Drive("motor", Broker()).telemetry()) as messages,
+        aclosing(telemetry(Broker(), "motor")) as messages,
         aclosing(follow(Broker(), "motor")) as live,
     ):
         reading = asyncio.ensure_future(anext(messages))
