@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -137,7 +138,7 @@ class Published:
         if part == "load":
             behind_s = _time_s(self._parts["drive"]) - _time_s(self._parts["load"])
             period_s = commands.number(self._parts["load"].get("period_s"))
-            if not behind_s <= max(LIVE_S, _SLOW_PERIODS * period_s):
+            if not abs(behind_s) <= max(LIVE_S, _SLOW_PERIODS * period_s):
                 return f"its last slow period ended {behind_s:.1f} s ago: it does not run"
         return ""
 
@@ -217,7 +218,7 @@ class ConnectedDrive:
         self._name, self._broker, self._timeout_s = name, broker, timeout_s
         self._published = Published(name)
         self._loop = asyncio.new_event_loop()
-        self._ending = asyncio.Event()
+        self._ending, self._pid = asyncio.Event(), os.getpid()
         self._thread = in_thread(self._run, f"drive {name}")
         try:
             self._wait(lambda: not self._published.flaw(), timeout_s)
@@ -287,6 +288,8 @@ class ConnectedDrive:
             RefusedError: The drive refused it.
             NoAnswerError: No reply in time, or no broker.
         """
+        if self._thread.done() or os.getpid() != self._pid:
+            raise NoAnswerError(self._name, "the connection is closed: connect again")
         sending = send_command(self._broker, self._name, verb, value, self._timeout_s, **fields)
         return accepted(asyncio.run_coroutine_threadsafe(sending, self._loop).result())
 

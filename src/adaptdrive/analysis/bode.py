@@ -64,6 +64,8 @@ def as_text(model: Model, spread: LoopSpread) -> str:
         place = found.gain_rad_per_s if name == "gain" else found.phase_rad_per_s
         label = f"{name.partition('_')[0]} margin"
         rows.append(f"{label:<14}{getattr(found, name):.3g}{unit}{band}, {place:.3g} rad/s")
+    if not model.is_stable:
+        rows.append("the loop is not stable around this load: it has no margins")
     if spread.loads:
         share = f"{BAND[1] - BAND[0]:g} % of {spread.loads} loads drawn from the covariance"
         rows.append(f"in brackets   {share}, {spread.stable} of them stable")

@@ -176,7 +176,9 @@ class Model:
 
     @property
     def margins(self) -> LoopMargins:
-        """Margins of the loop."""
+        """Margins of the loop: a factor of 1 and no lag where it is not stable."""
+        if not self.is_stable:
+            return LoopMargins(1.0, math.nan, 0.0, math.nan, 0.0)
         return loop_margins(*self.open_loop, self.period_s)
 
     @property

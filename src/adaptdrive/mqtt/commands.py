@@ -24,7 +24,7 @@ from adaptdrive.util.quantity import BOOST, Given
 
 # From the payload of a command to a request, or to a reason why there is none.
 
-LONGEST_PAYLOAD = 8192
+LONGEST_PAYLOAD = 16_384  # a program of 100 steps
 LONGEST_ID = 128
 LONGEST_USER = 128
 
@@ -40,6 +40,9 @@ class _Plain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     id: Annotated[str, msgspec.Meta(min_length=1, max_length=LONGEST_ID)]
     expires: _Expires = None
     user: Annotated[str, msgspec.Meta(max_length=LONGEST_USER)] | None = None
+
+
+_ENVELOPE = set(_Plain.__struct_fields__)
 
 
 class _Waveform(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -74,9 +77,11 @@ class Payload:
 
     @property
     def value(self) -> str:
-        """The value asked for, as JSON; empty where there is none."""
-        value = self._field("value")
-        return "" if value is None else json.dumps(value, ensure_ascii=False)
+        """The value asked for and its further fields, as JSON; empty where there are none."""
+        sent = self._document if isinstance(self._document, dict) else {}
+        further = {name: one for name, one in sent.items() if name not in _ENVELOPE}
+        parts = (part for part in (sent.get("value"), further or None) if part is not None)
+        return " ".join(json.dumps(part, ensure_ascii=False) for part in parts)
 
     @property
     def user(self) -> str:

@@ -39,7 +39,8 @@ const Sessions = (() => {
 
   /** The sessions of a drive, the newest first. @param {string} drive @returns {Promise<SessionEntry[]>} */
   async function index(drive) {
-    const every = list(await read(drive, "index.json"), MOST_SESSIONS).map((one) => ({
+    const listed = await read(drive, "index.json"); // the oldest first
+    const every = list(Array.isArray(listed) ? listed.slice(-MOST_SESSIONS) : listed, MOST_SESSIONS).map((one) => ({
       name: text(one.name), drive: text(one.drive), ended: text(one.ended),
       startedS: seconds(one.started), endS: seconds(one.end), bytes: number(one.bytes) ?? 0,
       trips: list(one.trips, MOST_NOTES).map((trip) => ({ record: text(trip.record), timeS: seconds(trip.time), text: text(trip.text) })),

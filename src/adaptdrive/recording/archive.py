@@ -271,7 +271,7 @@ def _archive(
     if logged.header.health.loss:
         try:
             logged.with_reserve(_update_health, directory, logged.header.health, publish)
-        except ERRORS as problem:
+        except (*ERRORS, ArithmeticError, ValueError) as problem:  # the log need not wait for it
             report(Severity.WARNING, f"health of session {directory.name}: {problem}")
     if logged.newest:
         keep = logged.header.keep

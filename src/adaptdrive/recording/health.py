@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from itertools import groupby, pairwise
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import pyarrow as pa
@@ -33,7 +33,11 @@ from adaptdrive.util import trends
 
 HOUR_S = 3600.0
 
-Mean = tuple[float, float]
+_LARGEST = 1e30
+_Value = Annotated[float, msgspec.Meta(ge=-_LARGEST, le=_LARGEST)]
+_Deviation = Annotated[float, msgspec.Meta(ge=1.0 / _LARGEST, le=_LARGEST)]
+
+Mean = tuple[_Value, _Deviation]
 """A mean over an hour, and its standard deviation."""
 
 
@@ -50,7 +54,7 @@ class HourRow(msgspec.Struct, frozen=True):
         outside: Quantities that have left their bounds and not come back.
     """
 
-    time: datetime
+    time: Annotated[datetime, msgspec.Meta(tz=True)]
     session: datetime
     running_h: float
     starts: int
@@ -65,14 +69,17 @@ def health_path(sessions: Path, drive: str) -> Path:
 
 
 def read_rows(path: Path) -> list[HourRow]:
-    """Return the rows of a file by their times, none without one; torn lines are left out."""
+    """Return the rows of a file by their times, none without one.
+
+    Lines that are torn, and hours of a clock that was ahead, later than the last row, are left out.
+    """
     rows: list[HourRow] = []
     for line in path.read_bytes().splitlines() if path.exists() else ():
         try:
             rows.append(msgspec.json.decode(line, type=HourRow))
         except (msgspec.DecodeError, UnicodeDecodeError):
             continue
-    return sorted(rows, key=attrgetter("time"))
+    return sorted((one for one in rows if one.time <= rows[-1].time), key=attrgetter("time"))
 
 
 def append_rows(path: Path, rows: Sequence[HourRow]) -> None:
@@ -288,10 +295,10 @@ def bound_level(points: Sequence[trends.Point]) -> Mean | None:
     """
     today_s = trends.DAY_S * (points[-1].time_s // trends.DAY_S) if points else math.nan
     days = trends.daily(one for one in points if today_s - _PATIENCE_S <= one.time_s < today_s)
-    line = trends.fit_line(days)
+    line, step = trends.fit_line(days), trends.find_step(days)
     if line is None or len(days) < _KNOWN_DAYS:
         return None
-    return trends.mean(days[-trends.DAYS :], line.factor)
+    return trends.mean(days[-trends.DAYS :], line.factor if step is None else step[1].factor)
 
 
 def _sentence(name: str, level: Mean, bounds: tuple[float, float]) -> str:

@@ -157,6 +157,10 @@ def coasts_at(setpoint: float, reach: Reach) -> bool:
     return setpoint <= 0.0 and not setpoint >= reach.low  # which may not be known
 
 
+_SMALLEST, _LARGEST = 1e-9, 1e9
+"""Slopes, distances and times in s that a program or a command may have: 1e9 s are 32 years."""
+
+
 def _require(  # noqa: PLR0913, PLR0917 - the parts of one sentence
     what: str, value: float, low: float, high: float, unit: str = "", why: str = ""
 ) -> None:
@@ -166,9 +170,9 @@ def _require(  # noqa: PLR0913, PLR0917 - the parts of one sentence
 
 
 def require_positive(what: str, value: float | None) -> None:
-    """Refuse a value that is not finite or not above 0; one that is left out is None."""
-    if value is not None and not (math.isfinite(value) and value > 0.0):
-        raise RefusedError(f"{what} = {value:.12g} is not a finite number above 0")
+    """Refuse a value that is not above 0, or of no use; one that is left out is None."""
+    if value is not None and not _SMALLEST <= value <= _LARGEST:
+        raise RefusedError(f"{what} = {value:.12g} is outside {_SMALLEST:g}…{_LARGEST:g}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,9 +265,8 @@ class MachineLimits:
         return (self.load.reference_slope or math.inf) if asked is None else asked
 
     def require_period(self, what: str, value: float) -> None:
-        """Refuse a period of a waveform, in s, that is too short."""
-        if not value >= self.period_min_s:
-            raise RefusedError(f"{what} = {value:.12g} s is below {self.period_min_s:g} s")
+        """Refuse a period of a waveform, in s, that is too short or too long."""
+        _require(what, value, self.period_min_s, _LARGEST, " s")
 
     def require_pole(self, value: float) -> None:
         """Refuse a closed-loop pole that is too fast or too slow."""

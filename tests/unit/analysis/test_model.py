@@ -176,6 +176,14 @@ def test_drawn_loads_have_the_covariance_of_the_estimate(of_session: Model) -> N
     assert not list(lab.model(EXAMPLE).drawn())
 
 
+def test_a_loop_that_is_not_stable_has_no_margins() -> None:
+    made = lab.model(EXAMPLE)
+    unstable = replace(made, b=tuple(-one for one in made.b))
+    assert not unstable.is_stable
+    assert unstable.margins.gain == 1.0
+    assert unstable.margins.delay_s == unstable.margins.phase_deg == 0.0
+
+
 def test_the_model_of_published_estimates_has_their_load_and_gains() -> None:
     configuration = load_configuration(EXAMPLE)
     fixed = lab.model(configuration)

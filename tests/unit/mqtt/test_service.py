@@ -99,7 +99,7 @@ async def test_a_command_acts_and_is_answered(
         ("setpoint", '{"id": "x", "value": ', "not JSON"),
         ("setpoint", b'{"id": "x", "value": "\xff"}', "not JSON"),
         ("setpoint", '{"id": "x", "value": %s' % ("[" * 5000), "not JSON"),
-        ("setpoint", '{"id": "x", "value": "%s"}' % ("v" * 9000), "at most 8192"),
+        ("setpoint", '{"id": "x", "value": "%s"}' % ("v" * 17_000), "at most 16384"),
         ("mode", '{"id": "x", "value": "\\u001b[2J"}', r"'\x1b[2J'"),
         ("mode", '{"id": "x", "\\u001b": 1, "value": "fixed"}', "unknown field `?`"),
         ("setpoint", '{"id": "x", "value": {"\\ud800": "\\u001b[2J"}}', "got `object`"),

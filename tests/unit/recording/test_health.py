@@ -11,6 +11,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from adaptdrive.app.loads import build_load
@@ -193,6 +194,45 @@ def test_rows_survive_the_removal_of_sessions_and_a_torn_line(tmp_path: Path) ->
     assert health.read_rows(path) == [first, second, first]
     assert list(session_directories(tmp_path)) == []
     assert list(prune(tmp_path, Header(INFO, "").keep, BEGIN)) == []
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        '"time":"2026-01-05T00:00:00"',
+        '"time":"2099-01-01T00:00:00Z"',
+        '"means":{"gain":[0.011,0.0]}',
+        '"means":{"gain":[0.011,1e-200]}',
+        '"means":{"gain":[1e308,1.0]}',
+        '"means":{"gain":[0.011,-1.0]}',
+    ],
+)
+def test_a_row_that_no_clock_and_no_estimate_can_have_made_is_left_out(
+    tmp_path: Path, wrong: str
+) -> None:
+    path = health.health_path(tmp_path, "motor")
+    row = HourRow(BEGIN, START, 1.0, 1, {"gain": (0.011, 1e-5)})
+    name, value = wrong.split(":", 1)
+    whole = msgspec.json.decode(msgspec.json.encode(row)) | msgspec.json.decode(
+        f"{{{name}:{value}}}"
+    )
+    path.write_bytes(msgspec.json.encode(whole))
+    health.append_rows(path, [row])
+    assert health.read_rows(path) == [row]
+
+
+@pytest.mark.parametrize("rise", [0.11, 0.5, 2.0])
+def test_a_sudden_change_leaves_its_bound_within_eight_days(rise: float) -> None:
+    rows, days = list[HourRow](), list[int]()
+    generator = np.random.default_rng(1)
+    settings = msgspec.structs.replace(SETTINGS, bounds={"gain": (-math.inf, 1.1)})
+    for hour in range(24 * 60):
+        value = 1.0 + rise * (hour >= 24 * 40) + generator.normal(0.0, 0.002)
+        time = BEGIN + timedelta(hours=hour)
+        rows.append(HourRow(time, START, 1.0, 0, {"gain": (value, 0.002)}))
+        if hour % 24 == 0 and health.crossings(rows, (), settings)[0]:
+            days.append(hour // 24)
+    assert 40 < days[0] <= 48
 
 
 @pytest.mark.parametrize("load", ["motor", "bath", "battery"])
