@@ -22,6 +22,7 @@ from adaptdrive.runtime.requests import REQUESTS
 from adaptdrive.safety.trips import kind_of, remedy
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import RefusedError
+from adaptdrive.util.quantity import Display
 
 # What a drive has published: values by name, each with its unit, for as long as they are fresh.
 
@@ -32,6 +33,7 @@ _UNITS = {one.name: one.unit for one in (*TICK_COLUMNS, *SLOW_COLUMNS)} | {
     "voltage_V": "v",
     "age_s": "s",
 }
+_DIFFERENCES = {"resolution", "rounding", "innovation", "probe"}
 _SLOW = {one.name for one in SLOW_COLUMNS}
 _SLOW_PERIODS = 3.0
 """Age in slow periods up to which the values of the last one are fresh."""
@@ -99,7 +101,13 @@ class Published:
             self._arrived_s = self._clock()
             reference = commands.number(self._parts.get("load", {}).get("reference"))
             output = commands.number(content.get("output"))
-            self.course.append((self._arrived_s, output, reference))
+            shown = self.display.shown
+            self.course.append((self._arrived_s, shown(output), shown(reference)))
+
+    @property
+    def display(self) -> Display:
+        """Unit in which people see and type the output."""
+        return commands.display_in(self._parts.get("state", {}))
 
     @property
     def names(self) -> list[str]:
@@ -161,6 +169,9 @@ class Published:
             return found
         unit = {"y": units[0], "v": units[1], "u": ""}.get(_UNITS[key], _UNITS[key])
         plain = isinstance(found, bool | int) and not unit
+        if _UNITS[key] == "y":
+            display = self.display.change if key in _DIFFERENCES else self.display
+            return Value(display.shown(commands.number(found)), display.unit)
         return found if plain else Value(commands.number(found), unit)
 
 
@@ -286,15 +297,16 @@ class ConnectedDrive:
         return accepted(asyncio.run_coroutine_threadsafe(sending, self._loop).result())
 
     def setpoint(self, value: float) -> Reply:
-        """Hold a constant set-point, in the unit of the output."""
-        return self.send("setpoint", value)
+        """Hold a constant set-point, in the unit that `output` has."""
+        return self.send("setpoint", value, unit=self._published.display.mark)
 
     def waveform(
         self, shape: str, low: float, high: float, period_s: float, *, preview: bool = True
     ) -> Reply:
         """Follow a periodic set-point: `square`, `sine` or `triangle`."""
         value = {"shape": shape, "low": low, "high": high, "period_s": period_s}
-        return self.send("waveform", value, preview=preview)
+        unit = self._published.display.mark
+        return self.send("waveform", value, preview=preview, unit=unit)
 
     def mode(self, value: Literal["fixed", "adaptive", "manual"]) -> Reply:
         """Choose the controller, or manual."""

@@ -14,6 +14,7 @@ import cyclopts
 import msgspec
 from cyclopts import Parameter
 
+from adaptdrive.cli.options import Typed, typed
 from adaptdrive.runtime.requests import Program
 from adaptdrive.util.errors import ConfigurationError
 
@@ -59,11 +60,16 @@ def _unit(unit: str, mark: str, text: str) -> float:
     return _SECONDS[name]
 
 
-def _read_slope(_: object, tokens: Sequence[cyclopts.Token]) -> float:
-    return per_second(tokens[0].value)
+def _read_slope(_: object, tokens: Sequence[cyclopts.Token]) -> Typed:
+    """Return a slope per second, and the unit before the slash."""
+    level, slash, time = tokens[0].value.rpartition("/")
+    unit = typed(level).unit if slash else ""
+    found = Typed(per_second(f"{level.rstrip().removesuffix(unit)}{slash}{time}"))
+    found.unit = unit
+    return found
 
 
-Slope = Annotated[float, Parameter(converter=_read_slope)]
+Slope = Annotated[Typed, Parameter(converter=_read_slope)]
 
 
 _STEP = re.compile(r"steps\[(\d+)\]")

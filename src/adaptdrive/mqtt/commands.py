@@ -20,7 +20,7 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import REQUESTS, Disable, Request
 from adaptdrive.safety.trips import Trip
 from adaptdrive.util.errors import RefusedError
-from adaptdrive.util.quantity import BOOST, Given
+from adaptdrive.util.quantity import BOOST, Display, Given
 
 # From the payload of a command to a request, or to a reason why there is none.
 
@@ -74,9 +74,10 @@ class Payload:
 
     @property
     def value(self) -> str:
-        """The value asked for, as JSON; empty where there is none."""
-        value = self._field("value")
-        return "" if value is None else json.dumps(value, ensure_ascii=False)
+        """The value asked for, as JSON, and its unit; empty where there is none."""
+        value, unit = self._field("value"), self._field("unit")
+        text = "" if value is None else json.dumps(value, ensure_ascii=False)
+        return f"{text} {unit}" if text and isinstance(unit, str) else text
 
     @property
     def user(self) -> str:
@@ -191,7 +192,7 @@ def _value(place: str, sent: Any) -> Any:  # noqa: ANN401 - as the request decla
     if isinstance(sent, _Waveform):
         levels = {name: _finite(f"{place}.{name}", getattr(sent, name)) for name in _LEVELS}
         return Waveform(shape=sent.shape, **levels)
-    return None if sent == _OFF else sent
+    return None if sent == _OFF and place == "value" else sent
 
 
 def _finite(place: str, value: float) -> float:
@@ -275,6 +276,15 @@ def given_in(state: Mapping[str, Any]) -> Given:
     """Return what a drive is commanded, and gives, from the payload of `state`."""
     found = part(state, "manipulated")
     return Given(*(printable(found.get(name, getattr(BOOST, name))) for name in ("name", "unit")))
+
+
+def display_in(state: Mapping[str, Any]) -> Display:
+    """Return the unit in which people see and type the output, from the payload of `state`."""
+    output = part(state, "output")
+    found = part(output, "display")
+    own, unit = (printable(one.get("unit") or "") for one in (output, found))
+    display = Display(unit, number(found.get("scale")), number(found.get("offset")))
+    return display if display.scale > 0.0 and math.isfinite(display.offset) else Display(own)
 
 
 def program_text(state: Mapping[str, Any], drive: Mapping[str, Any]) -> str:

@@ -16,6 +16,7 @@ from adaptdrive.runtime.requests import End, Program, Step, Turn
 from adaptdrive.runtime.settings import AskedReference, MachineLimits, require_positive
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.errors import RefusedError
+from adaptdrive.util.quantity import Display
 
 T = TypeVar("T")
 
@@ -41,18 +42,19 @@ def _order_of(step: Step) -> requests.Request:
             return requests.SetWaveform(None)
 
 
-def _described(step: Step, unit: str) -> str:
+def _described(step: Step, display: Display) -> str:
     """Return what a step does, in words."""
     match step:
         case requests.RampTo(to, slope):
-            way = "" if slope is None else f" at {slope:g} {unit}/s"
-            return f"ramp to {to:g} {unit}{way}"
+            way = "" if slope is None else f" at {display.change.text(slope)}/s"
+            return f"ramp to {display.text(to)}{way}"
         case requests.HoldFor(for_s):
             return f"hold for {for_s:g} s"
         case requests.Settle(within, for_s):
-            return f"hold until within {within:g} {unit} for {for_s:g} s"
+            return f"hold until within {display.change.text(within)} for {for_s:g} s"
         case requests.WaveFor(shape, low, high, period_s, for_s):
-            return f"{shape} {low:g} to {high:g} {unit}, period {period_s:g} s, for {for_s:g} s"
+            levels = f"{display.shown(low):g} to {display.text(high)}"
+            return f"{shape} {levels}, period {period_s:g} s, for {for_s:g} s"
         case requests.Choose(mode):
             return f"mode {mode}"
 
@@ -139,7 +141,7 @@ class Programs:
             name=run.program.name,
             step=run.number + 1,
             steps=len(run.program.steps),
-            does=_described(run.step, self._limits.load.output_unit),
+            does=_described(run.step, self._limits.load.display),
             status=run.status,
             reason=run.reason,
             end=run.program.end,

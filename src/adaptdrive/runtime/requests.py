@@ -4,13 +4,20 @@ A request is one class: its verb in the topic, and its fields as they stand in t
 state machine carries it out. `REQUESTS` lists them; messages and command line are made of it.
 """
 
+import dataclasses
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
+from adaptdrive.config.load import LoadSection
+from adaptdrive.config.section import same_unit
 from adaptdrive.control.signals import Mode, Shape, Waveform
+from adaptdrive.util.errors import RefusedError
+from adaptdrive.util.quantity import Display
 
 # Programs of set-points, as they come in a payload and stand in a file.
 
@@ -88,11 +95,13 @@ class Program(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         name: Its name for people.
         steps: At most 100.
         end: What follows them.
+        unit: Unit of levels, slopes and distances, as that of a set-point.
     """
 
     name: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
     steps: Annotated[tuple[Step, ...], msgspec.Meta(min_length=1, max_length=100)]
     end: End = End.HOLD
+    unit: str | None = None
 
 
 class Turn(StrEnum):
@@ -166,11 +175,13 @@ class SetSetpoint(Request):
         value: The set-point.
         slope: Change of the reference in one second on its way there; None for
             `load.reference_slope`.
+        unit: Unit of both: that of the output, also when None, or that in which people see it.
     """
 
     verb = "setpoint"
     value: float
     slope: float | None = None
+    unit: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,11 +191,13 @@ class SetWaveform(Request):
     Attributes:
         value: The set-point.
         preview: Whether the controller may move before what comes.
+        unit: Unit of its levels, as that of a set-point.
     """
 
     verb = "waveform"
     value: Waveform | None
     preview: bool = True
+    unit: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,3 +294,68 @@ REQUESTS: dict[str, type[Request]] = {
     )
 }
 """All requests by verb, in the order of the command line's help."""
+
+
+# Requests in the unit in which people see the output.
+
+_ROUNDING = 1e-9
+"""Share of the set-point range by which a limit that is converted there and back may be off."""
+
+Convert = Callable[[float], float]
+
+
+def in_own_unit(request: Request, load: LoadSection) -> Request:
+    """Return a request with its values in the unit of the output.
+
+    Args:
+        request: What is asked.
+        load: Units and limits of the output.
+
+    Raises:
+        RefusedError: It is in another unit.
+    """
+    display = _display_of(request, load)
+    if display == Display(load.output_unit):
+        return request
+    level, change = functools.partial(_level, load, display), display.change.typed
+    match request:
+        case SetSetpoint(value, slope):
+            return SetSetpoint(level(value), slope and change(slope))
+        case SetWaveform(Waveform() as wave, preview):
+            wave = dataclasses.replace(wave, low=level(wave.low), high=level(wave.high))
+            return SetWaveform(wave, preview)
+        case RunProgram(Program() as program, check):
+            steps = tuple(_converted(step, level, change) for step in program.steps)
+            return RunProgram(msgspec.structs.replace(program, steps=steps), check)
+    return request
+
+
+def _display_of(request: Request, load: LoadSection) -> Display:
+    """Return the unit that a request is in."""
+    held = request.value if isinstance(request, RunProgram) else request
+    unit: str | None = getattr(held, "unit", None)
+    for display in (load.display, Display(load.output_unit)):
+        if unit is not None and same_unit(unit, display.unit):
+            return display
+    if unit is None:
+        return Display(load.output_unit)
+    units = dict.fromkeys((load.display.unit, load.output_unit))
+    raise RefusedError(f"unit = {unit!r}: the output is in {' or '.join(units)}")
+
+
+def _level(load: LoadSection, display: Display, value: float) -> float:
+    """Return a level in the unit of the output; a limit that was typed is met exactly."""
+    found, near = display.typed(value), _ROUNDING * (load.reference_max - load.reference_min)
+    limits = (load.reference_min, load.reference_max)
+    return next((limit for limit in limits if abs(found - limit) <= near), found)
+
+
+def _converted(step: Step, level: Convert, change: Convert) -> Step:
+    match step:
+        case RampTo(to, slope):
+            return RampTo(level(to), slope and change(slope))
+        case Settle(within):
+            return msgspec.structs.replace(step, within=change(within))
+        case WaveFor(_, low, high):
+            return msgspec.structs.replace(step, low=level(low), high=level(high))
+    return step
