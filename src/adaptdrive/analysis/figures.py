@@ -132,7 +132,7 @@ def as_png(figure: Figure) -> bytes:
 
 def _draw_output(axes: Axes, session: reader.Session, curves: Curves, scale_s: float) -> None:
     looks = {"reference": REFERENCE, "output": ADAPTIVE}
-    display = session.info.display or quantity.Display(session.info.output_unit)
+    display = session.info.shown
     for name, look in looks.items():
         time_s, values = curves.ticks[name]
         shown = display.scale * values + display.offset

@@ -170,6 +170,9 @@ def _capacitor(configuration: Configuration) -> Iterator[Fact]:
 def _reach(configuration: Configuration, reach: Reach) -> Iterator[Fact]:
     """Yield the reachable set-points."""
     load, held = configuration.load, f"set-points held by {configuration.drive.given.symbol}"
+    if load.output_display is not None:
+        shown = load.display.range_text(load.reference_min, load.reference_max)
+        yield "set-points as people see and type them", shown, "load.output_display"
     if not reach.is_known:
         yield held, "found while running", "the battery's EMF, which no key states"
         return

@@ -168,13 +168,14 @@ def typed(text: str) -> Typed:
     """Return the number of a text such as `150`, `1500rpm` or `"60 °C"`.
 
     Raises:
-        ValueError: It has none, or the number is not finite.
+        ValueError: It has none.
     """
     found = _TYPED.fullmatch(text)
-    number = Typed(found[1] if found else text)
+    try:
+        number = Typed(found[1] if found else text)
+    except ValueError:
+        raise ValueError(f'"{text}" is not a number, such as 150 or 1500rpm.') from None
     number.unit = found[2] if found else ""
-    if not math.isfinite(number):
-        raise ValueError("A finite number is needed.")
     return number
 
 
@@ -188,7 +189,7 @@ Settings = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
 _FINITE = refusing(math.isfinite, "A finite number is needed.")
 Number = Annotated[float, Parameter(validator=_FINITE)]
 Second = Annotated[float | None, Parameter(validator=_FINITE)]
-Level = Annotated[Typed, Parameter(converter=_read_typed)]
+Level = Annotated[Typed, Parameter(converter=_read_typed, validator=_FINITE)]
 Integer = Annotated[int, Parameter(converter=_read_integer)]
 
 

@@ -150,6 +150,11 @@ class SessionInfo(msgspec.Struct, frozen=True):
     log: str = ""
     format: int = FORMAT
 
+    @property
+    def shown(self) -> quantity.Display:
+        """Unit in which people see the output."""
+        return self.display or quantity.Display(self.output_unit)
+
 
 def sessions_directory(configured: Path | None, environment: Mapping[str, str]) -> Path:
     """Return the folder of sessions: configured, else in `$STATE_DIRECTORY`, else `./sessions`."""
