@@ -32,8 +32,8 @@ from adaptdrive.tui.terminal import KeyReader
 from adaptdrive.util.errors import RefusedError
 from adaptdrive.util.quantity import Display
 from tests.unit.config.documents import flaws, parse
-from tests.unit.mqtt.peers import drive_report, load_report, profile
-from tests.unit.mqtt.test_connected import NOW, STANDBY, STANDING, decoded
+from tests.unit.mqtt.peers import STANDBY, drive_report, load_report, profile
+from tests.unit.mqtt.test_connected import NOW, STANDING, decoded
 from tests.unit.mqtt.test_home_assistant import rendered
 from tests.unit.safety.test_interlocks import GOOD, NOW_S, STALE_S
 
