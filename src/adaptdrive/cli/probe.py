@@ -133,7 +133,8 @@ class _Probe:
             f"line {_shown(reading.line_voltage_V, '6.1f')} V  "
             f"load {_shown(reading.load_power_W, '7.1f')} W  {load.output_name} "
             f"{load.display.text(reading.output, '9.5f')}  "
-            f"bridge {'on' if reading.bridge else 'off'}  {_watched(reading)}  age {age_ms:5.1f} ms  ({counts})"
+            f"bridge {'on' if reading.bridge else 'off'}  "
+            f"{_watched(reading)}  age {age_ms:5.1f} ms  ({counts})"
         )
 
     async def _command(self) -> None:
