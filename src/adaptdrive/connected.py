@@ -99,10 +99,9 @@ class Published:
             self._parts = self._parts | {_TOPICS[topic]: content}
         if topic == "telemetry/drive":
             self._arrived_s = self._clock()
-            reference = commands.number(self._parts.get("load", {}).get("reference"))
-            output = commands.number(content.get("output"))
-            shown = self.display.shown
-            self.course.append((self._arrived_s, shown(output), shown(reference)))
+            found = content.get("output"), self._parts.get("load", {}).get("reference")
+            output, reference = (self.display.shown(commands.number(one)) for one in found)
+            self.course.append((self._arrived_s, output, reference))
 
     @property
     def display(self) -> Display:
@@ -167,11 +166,11 @@ class Published:
             return {name: _estimate(name, found, units) for name in found}
         if key not in _UNITS or not isinstance(found, int | float | None):
             return found
-        unit = {"y": units[0], "v": units[1], "u": ""}.get(_UNITS[key], _UNITS[key])
-        plain = isinstance(found, bool | int) and not unit
+        unit = {"v": units[1], "u": ""}.get(_UNITS[key], _UNITS[key])
         if _UNITS[key] == "y":
             display = self.display.change if key in _DIFFERENCES else self.display
             return Value(display.shown(commands.number(found)), display.unit)
+        plain = isinstance(found, bool | int) and not unit
         return found if plain else Value(commands.number(found), unit)
 
 
@@ -305,8 +304,7 @@ class ConnectedDrive:
     ) -> Reply:
         """Follow a periodic set-point: `square`, `sine` or `triangle`."""
         value = {"shape": shape, "low": low, "high": high, "period_s": period_s}
-        unit = self._published.display.mark
-        return self.send("waveform", value, preview=preview, unit=unit)
+        return self.send("waveform", value, preview=preview, unit=self._published.display.mark)
 
     def mode(self, value: Literal["fixed", "adaptive", "manual"]) -> Reply:
         """Choose the controller, or manual."""

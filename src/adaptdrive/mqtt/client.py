@@ -155,10 +155,7 @@ async def read_status(broker: Broker, drive: str, timeout_s: float) -> DriveStat
 
 
 async def read_display(broker: Broker, drive: str, timeout_s: float) -> Display:
-    """Return the unit in which people type the output of a drive, as its daemon has published it.
-
-    Arguments and errors as of `read_status`.
-    """
+    """Return the unit in which people type the output; arguments and errors as of `read_status`."""
     status, end_s = DriveStatus(), end_of(timeout_s)
     async with conversation(broker, drive, end_s) as client, asyncio.timeout_at(end_s):
         await client.subscribe(contract.Topics(drive).state, qos=1)
