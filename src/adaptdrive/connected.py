@@ -23,6 +23,7 @@ from adaptdrive.runtime.requests import REQUESTS
 from adaptdrive.safety.trips import kind_of, remedy
 from adaptdrive.util.clock import in_thread
 from adaptdrive.util.errors import RefusedError
+from adaptdrive.util.quantity import Display
 
 # What a drive has published: values by name, each with its unit, for as long as they are fresh.
 
@@ -33,6 +34,7 @@ _UNITS = {one.name: one.unit for one in (*TICK_COLUMNS, *SLOW_COLUMNS)} | {
     "voltage_V": "v",
     "age_s": "s",
 }
+_DIFFERENCES = {"resolution", "rounding", "innovation", "probe"}
 _SLOW = {one.name for one in SLOW_COLUMNS}
 _SLOW_PERIODS = 3.0
 """Age in slow periods up to which the values of the last one are fresh."""
@@ -98,9 +100,14 @@ class Published:
             self._parts = self._parts | {_TOPICS[topic]: content}
         if topic == "telemetry/drive":
             self._arrived_s = self._clock()
-            reference = commands.number(self._parts.get("load", {}).get("reference"))
-            output = commands.number(content.get("output"))
+            found = content.get("output"), self._parts.get("load", {}).get("reference")
+            output, reference = (self.display.shown(commands.number(one)) for one in found)
             self.course.append((self._arrived_s, output, reference))
+
+    @property
+    def display(self) -> Display:
+        """Unit in which people see and type the output."""
+        return commands.display_in(self._parts.get("state", {}))
 
     @property
     def names(self) -> list[str]:
@@ -160,7 +167,10 @@ class Published:
             return {name: _estimate(name, found, units) for name in found}
         if key not in _UNITS or not isinstance(found, int | float | None):
             return found
-        unit = {"y": units[0], "v": units[1], "u": ""}.get(_UNITS[key], _UNITS[key])
+        unit = {"v": units[1], "u": ""}.get(_UNITS[key], _UNITS[key])
+        if _UNITS[key] == "y":
+            display = self.display.change if key in _DIFFERENCES else self.display
+            return Value(display.shown(commands.number(found)), display.unit)
         plain = isinstance(found, bool | int) and not unit
         return found if plain else Value(commands.number(found), unit)
 
@@ -293,12 +303,16 @@ class ConnectedDrive:
         sending = send_command(self._broker, self._name, verb, value, self._timeout_s, **fields)
         return accepted(asyncio.run_coroutine_threadsafe(sending, self._loop).result())
 
+    def setpoint(self, value: float, slope: float | None = None) -> Reply:
+        """Go to a set-point, in the unit that `output` has; `slope` is its change in one second."""
+        return self.send("setpoint", value, slope=slope, unit=self._published.display.mark)
+
     def waveform(
         self, shape: str, low: float, high: float, period_s: float, *, preview: bool = True
     ) -> Reply:
         """Follow a periodic set-point; V_c moves before edges beyond its limits with `preview`."""
         value = {"shape": shape, "low": low, "high": high, "period_s": period_s}
-        return self.send("waveform", value, preview=preview)
+        return self.send("waveform", value, preview=preview, unit=self._published.display.mark)
 
     def __repr__(self) -> str:
         return f"{self._name}: {self._published.summary}"

@@ -135,11 +135,13 @@ def as_png(figure: Figure) -> bytes:
 
 def _draw_output(axes: Axes, session: reader.Session, curves: Curves, scale_s: float) -> None:
     looks = {"reference": REFERENCE, "output": ADAPTIVE}
+    display = session.info.shown
     for name, look in looks.items():
         time_s, values = curves.ticks[name]
-        axes.plot(time_s / scale_s, values, label=name, **look)
+        shown = display.scale * values + display.offset
+        axes.plot(time_s / scale_s, shown, label=name, **look)
     axes.set_title(f"{session.info.drive}: output and reference")
-    axes.set_ylabel(labelled("output", session.info.output_unit))
+    axes.set_ylabel(labelled("output", display.unit))
     legend_above(axes, columns=2)
 
 

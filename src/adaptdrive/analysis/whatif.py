@@ -21,6 +21,7 @@ from adaptdrive.config.load import AnyLoad
 from adaptdrive.control.signals import Mode
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.util.errors import ConfigurationError, IdentificationError
+from adaptdrive.util.quantity import Display
 
 # A recorded session again in closed loop, with other settings.
 
@@ -190,18 +191,19 @@ def draw_comparison(comparison: Comparison, settings: tuple[str, ...]) -> bytes:
     with figures.journal():
         figure = Figure(figsize=(figures.WIDTH_in, 4.6), layout="constrained")
         output, volts = figure.subplots(2, 1, sharex=True, height_ratios=(1.4, 1.0))
-        _draw(output, comparison, "output")
+        info = comparison.session.info
+        display = info.shown
+        _draw(output, comparison, "output", display)
         output.plot(
             comparison.recorded.time_s,
-            comparison.recorded.reference,
+            display.scale * comparison.recorded.reference + display.offset,
             drawstyle="steps-post",
             label="set-point",
             **figures.TRUTH,
         )
         _draw(volts, comparison, "boost_voltage_V")
-        info = comparison.session.info
         given = info.manipulated
-        output.set_ylabel(figures.labelled("output", info.output_unit))
+        output.set_ylabel(figures.labelled("output", display.unit))
         output.set_title(", ".join(settings) or "recorded settings")
         volts.set_title(f"{given.name}, means over slow periods")
         volts.set_ylabel(given.axis)
@@ -211,7 +213,11 @@ def draw_comparison(comparison: Comparison, settings: tuple[str, ...]) -> bytes:
         return figures.as_png(figure)
 
 
-def _draw(axes: Axes, comparison: Comparison, name: str) -> None:
+_PLAIN = Display()
+
+
+def _draw(axes: Axes, comparison: Comparison, name: str, display: Display = _PLAIN) -> None:
     looks = (figures.REFERENCE, figures.FIXED, figures.ADAPTIVE)
     for (label, one), look in zip(comparison.responses.items(), looks, strict=True):
-        axes.plot(one.time_s, getattr(one, name), label=label, **look)
+        values = display.scale * getattr(one, name) + display.offset
+        axes.plot(one.time_s, values, label=label, **look)

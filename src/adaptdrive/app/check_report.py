@@ -170,11 +170,14 @@ def _capacitor(configuration: Configuration) -> Iterator[Fact]:
 def _reach(configuration: Configuration, reach: Reach) -> Iterator[Fact]:
     """Yield the reachable set-points."""
     load, held = configuration.load, f"set-points held by {configuration.drive.given.symbol}"
+    if load.output_display is not None:
+        shown = load.display.range_text(load.reference_min, load.reference_max)
+        yield "set-points as people see and type them", shown, "load.output_display"
     if not reach.is_known:
         yield held, "found while running", "the battery's EMF, which no key states"
         return
     low, high = max(reach.low, load.reference_min), min(reach.high, load.reference_max)
-    yield held, f"{low:g}…{high:g} {load.output_unit}".rstrip(), "load.model"
+    yield held, load.display.range_text(low, high), "load.model"
     if load.reference_min < reach.low:
         yield "set-points below this range", "refused", "load.reference_min; 0 coasts"
     if load.reference_max > reach.high:
@@ -191,7 +194,7 @@ def _response(limits: ResponseLimits | None) -> Iterator[Fact]:
     for inputs, share in (("largest input", 1.0), ("half of it", 0.5)):
         level = limits.at_rest(share * limits.input_max) - limits.margin
         what = f"trips at rest, {inputs}, below"
-        yield what, f"{level:.4g} {limits.output_unit}".rstrip(), keys
+        yield what, limits.display.text(level, ".4g"), keys
     if not limits.by_power:
         slowest_s = limits.factor * sum(limits.lags_s)
         yield "this level rises with a lag of", f"{slowest_s:.4g} s", keys
@@ -216,7 +219,11 @@ def sound_report(configuration: Configuration, source: Path) -> Report:
         "flaws": [],
         "warnings": [str(one) for one in advice(configuration)],
         "drive": configuration.drive.name,
-        "output": {"name": load.output_name, "unit": load.output_unit},
+        "output": {
+            "name": load.output_name,
+            "unit": load.output_unit,
+            "display": asdict(load.display) if load.output_display else None,
+        },
         "manipulated": asdict(configuration.drive.given),
         "reach": [machine.reach.low, machine.reach.high],
         "poles": [machine.pole_min, machine.pole_max],

@@ -140,7 +140,7 @@ def _judged(configuration: Configuration) -> dict[str, Any]:
     """Return the model of the load by which its output is judged."""
     load, section = build_load(configuration), configuration.load
     return {
-        "output_unit": section.output_unit,
+        "display": section.display,
         "output_name": section.output_name,
         "gain": load.gain,
         "input_gain": load.input_gain,

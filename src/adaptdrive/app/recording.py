@@ -373,6 +373,7 @@ def _info(configuration: Configuration, learnt: Learnt) -> session.SessionInfo:
         prior=learnt.values,
         resolution=learnt.resolution,
         output_unit=configuration.load.output_unit,
+        display=configuration.load.display if configuration.load.output_display else None,
         manipulated=configuration.drive.given,
         sensors=sensor_columns(configuration),
     )

@@ -37,7 +37,7 @@ def trip_limits(configuration: Configuration) -> Limits:
     return Limits(
         boost_voltage_max_V=interlocks.boost_voltage_max_V,
         output_max=interlocks.output_max,
-        output_unit=load.output_unit,
+        display=load.display,
         output_name=load.output_name,
         given=configuration.drive.given,
         output_min=lowest,
@@ -308,7 +308,9 @@ def operator_profile(configuration: Configuration) -> Profile:
     trips, machine = trip_limits(configuration), machine_limits(configuration)
     return Profile(
         drive=configuration.drive.name,
-        output=Output(load.output_name, load.output_unit),
+        output=Output(
+            load.output_name, load.output_unit, load.display if load.output_display else None
+        ),
         manipulated=configuration.drive.given,
         limits={
             "setpoint": (load.reference_min, load.reference_max),

@@ -3,12 +3,13 @@
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from adaptdrive.cli.explain import with_kind
 from adaptdrive.mqtt import commands
 from adaptdrive.mqtt.client import LIVE_S, DriveStatus
-from adaptdrive.util.quantity import Given
+from adaptdrive.util.quantity import Display, Given
 
 _FRACTION = re.compile(r"\.\d+(?=Z)")
 _SILENT = (
@@ -25,15 +26,16 @@ def describe(drive: str, status: DriveStatus) -> str:
         status: The messages that it published.
     """
     lines = [f"{drive} is {_SILENT if status.silent else commands.printable(status.availability)}"]
-    unit, given = _unit(status.state or {}), commands.given_in(status.state or {})
+    state = status.state or {}
+    shown, given = commands.display_in(state), commands.given_in(state)
     if status.state is not None:
-        lines += _state(status.state, unit, live=status.online and status.live)
+        lines += _state(status.state, shown, live=status.online and status.live)
         program = commands.program_text(status.state, status.telemetry.get("drive", {}))
         lines += [_row("program", program)] if program else []
     if "load" in status.telemetry:
-        lines += _load(status.telemetry["load"], unit, given)
+        lines += _load(status.telemetry["load"], _unit(state), shown, given)
     if "drive" in status.telemetry:
-        lines += _drive(status.telemetry["drive"], unit, given)
+        lines += _drive(status.telemetry["drive"], shown, given)
     return "\n".join(lines)
 
 
@@ -69,14 +71,14 @@ def _unit(state: dict[str, Any]) -> str:
 
 def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
     state, live = status.state or {}, status.online and status.live
-    unit = _unit(state)
+    shown = commands.display_in(state)
     fast = status.telemetry.get("drive", {})
     output, fresh = fast.get("output"), live and commands.number(fast.get("age_s")) <= LIVE_S
     return (
         name,
         _site_state(state, status),
-        _number(output, unit) if fresh and output is not None else "-",
-        _setpoint(state, unit) if state else "-",
+        _shown(output, shown) if fresh and output is not None else "-",
+        _setpoint(state, shown) if state else "-",
         str(state.get("controller") or "-"),
         _moment(state.get("since")),
         str(state.get("trip") or ""),
@@ -91,14 +93,14 @@ def _site_state(state: dict[str, Any], status: DriveStatus) -> str:
     return text if status.live else f"{text} (last known)"
 
 
-def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:
+def _state(state: dict[str, Any], shown: Display, *, live: bool) -> list[str]:
     since = state.get("since") or state.get("time")
     rows = [
         ("state" if live else "last state", f"{state.get('state')}, since {_moment(since)}"),
         *_stop(state),
         *_trip(state),
         ("controller", _controller(state)),
-        ("set-point", _setpoint(state, unit)),
+        ("set-point", _setpoint(state, shown)),
         ("pole", f"{_number(state.get('pole'))} per slow period"),
         ("clock", str(state.get("clock"))),
     ]
@@ -123,7 +125,7 @@ def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
     return [row, *([("remedy", str(last["remedy"]))] if last.get("remedy") else [])]
 
 
-def _load(load: dict[str, Any], unit: str, given: Given) -> list[str]:
+def _load(load: dict[str, Any], unit: str, shown: Display, given: Given) -> list[str]:
     found = commands.part(load, "estimates")
     units = unit, given.unit
     estimates = (_estimate(name, commands.part(found, name), found, units) for name in found)
@@ -133,15 +135,15 @@ def _load(load: dict[str, Any], unit: str, given: Given) -> list[str]:
     )
     return [
         _row("slow step", f"{load.get('k')} at {_moment(load.get('time'))}"),
-        _row("reference", _number(load.get("reference"), unit)),
+        _row("reference", _shown(load.get("reference"), shown)),
         _row(given.name, voltages),
         _row("estimates", ", ".join(estimates) or "none"),
     ]
 
 
-def _drive(drive: dict[str, Any], unit: str, given: Given) -> list[str]:
+def _drive(drive: dict[str, Any], shown: Display, given: Given) -> list[str]:
     return [
-        _row(str(drive.get("output_name") or "output"), _number(drive.get("output"), unit)),
+        _row(str(drive.get("output_name") or "output"), _shown(drive.get("output"), shown)),
         _row(f"{given.name} now", _number(drive.get("boost_voltage_V"), given.unit)),
         _row("load power", _number(drive.get("load_power_W"), "W")),
         _row("age", _milliseconds(drive.get("age_s"))),
@@ -154,12 +156,13 @@ def _controller(state: dict[str, Any]) -> str:
     return f"{text}: {state['reason']}" if state.get("reason") else text
 
 
-def _setpoint(state: dict[str, Any], unit: str) -> str:
+def _setpoint(state: dict[str, Any], shown: Display) -> str:
     wave = commands.part(state, "waveform")
     if not wave:
-        return _number(state.get("setpoint"), unit)
+        return _shown(state.get("setpoint"), shown)
     return (
-        f"{wave.get('shape')} {_number(wave.get('low'))} to {_number(wave.get('high'), unit)}, "
+        f"{wave.get('shape')} {_shown(wave.get('low'), replace(shown, unit=''))} to "
+        f"{_shown(wave.get('high'), shown)}, "
         f"period {_number(wave.get('period_s'), 's')}"
     )
 
@@ -187,6 +190,11 @@ def _milliseconds(time_s: object) -> str:
 def _number(value: object, unit: str = "") -> str:
     found = commands.number(value)
     return "unknown" if math.isnan(found) else f"{found:.5g} {unit}".rstrip()
+
+
+def _shown(value: object, display: Display) -> str:
+    """Return a value of the output in the unit in which people see it."""
+    return _number(display.shown(commands.number(value)), display.unit)
 
 
 def _row(name: str, text: str) -> str:

@@ -5,53 +5,35 @@ They return 0 when the drive accepted, 1 when it refused, 3 when there was no an
 
 import asyncio
 import json
-import math
-import re
 import sys
-import tomllib
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Literal
 
-import msgspec
-from cyclopts import Parameter, Token
 from msgspec.structs import asdict as asdict_of
 
 from adaptdrive.cli import UNUSABLE, discard_output, display, print_error
 from adaptdrive.cli.explain import with_kind
-from adaptdrive.cli.options import Contact, DriveName, Number, needing
-from adaptdrive.mqtt.client import NoAnswerError, read_site, read_status, send_command
-from adaptdrive.runtime.requests import Program
+from adaptdrive.cli.options import Contact, DriveName, Level, Number, Typed, needing
+from adaptdrive.cli.programs import Slope, read_program
+from adaptdrive.mqtt.client import (
+    NoAnswerError,
+    read_display,
+    read_site,
+    read_status,
+    send_command,
+)
 from adaptdrive.safety.trips import kind_of, remedy
-from adaptdrive.util.errors import ConfigurationError
 
 ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
 _HERE = Contact()
 _SHELL = "drive.<Tab> lists values and commands; drive.setpoint(VALUE); drive.enable(); exit leaves"
 
 
-_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
-
-
-def _read_slope(_: object, tokens: Sequence[Token]) -> float:
-    """Return a slope per second from text such as `2/s`, `1.5/min` or `20/h`."""
-    number, _, unit = tokens[0].value.partition("/")
-    try:
-        slope = float(number) / _SECONDS[unit or "s"]
-    except (ValueError, LookupError):
-        slope = math.nan
-    if not 0.0 < slope < math.inf:
-        raise ValueError(f'"{tokens[0].value}" is no slope such as 2/s, 1.5/min or 20/h.')
-    return slope
-
-
-Slope = Annotated[float, Parameter(converter=_read_slope)]
-
-
 def setpoint(
     drive: DriveName,
-    value: Number,
+    value: Level,
     /,
     *,
     ramp: Slope | None = None,
@@ -61,19 +43,19 @@ def setpoint(
 
     Args:
         drive: Name of the drive.
-        value: Set-point in the unit of the output.
+        value: Set-point in the unit that `status` shows, or with a unit, such as 1500rpm.
         ramp: Slope of the way there, such as 2/s, 1.5/min or 20/h; that of the configuration when
             left out.
         contact: Broker.
     """
-    return _ask(drive, "setpoint", value, contact, slope=ramp)
+    return _ask_level(drive, "setpoint", value, (value, ramp), contact, slope=ramp)
 
 
 def waveform(  # noqa: PLR0913 - the words of the command line
     drive: DriveName,
     shape: Literal["square", "sine", "triangle", "off"],
-    low: Number | None = None,
-    high: Number | None = None,
+    low: Level | None = None,
+    high: Level | None = None,
     period: Number | None = None,
     /,
     *,
@@ -85,8 +67,8 @@ def waveform(  # noqa: PLR0913 - the words of the command line
     Args:
         drive: Name of the drive.
         shape: Form of one period; `off` holds the present set-point.
-        low: Lowest value in the unit of the output.
-        high: Highest value in the unit of the output.
+        low: Lowest value, as a set-point.
+        high: Highest value, as a set-point.
         period: Length of one period in seconds.
         preview: Whether adaptive control moves before an edge that V_c could not follow.
         contact: Broker.
@@ -100,7 +82,7 @@ def waveform(  # noqa: PLR0913 - the words of the command line
         missing = f"waveform {shape} needs LOW, HIGH and PERIOD"
         return print_error("adaptdrive", missing, UNUSABLE)
     value = {"shape": shape, **numbers}
-    return _ask(drive, "waveform", value, contact, preview=preview)
+    return _ask_level(drive, "waveform", value, (low, high), contact, preview=preview)
 
 
 def program(
@@ -122,28 +104,12 @@ def program(
     if (action == "start") is (file is None):
         needed = "needs a FILE" if file is None else "takes no FILE"
         return print_error("adaptdrive", f"program {action} {needed}", UNUSABLE)
-    return _ask(drive, "program", action if file is None else read_program(file), contact)
-
-
-_STEP = re.compile(r"steps\[(\d+)\]")
-
-
-def read_program(path: Path) -> dict[str, Any]:
-    """Return the program of a TOML file as the daemon takes it; its name is that of the file.
-
-    Raises:
-        ConfigurationError: It cannot be read, or is no program; the step is named.
-    """
-    from adaptdrive.config.file import read_text  # noqa: PLC0415 - few commands need it
-
-    try:
-        found = {"name": path.stem, **tomllib.loads(read_text(path))}
-        program: dict[str, Any] = msgspec.to_builtins(msgspec.convert(found, Program))
-    except ValueError as problem:  # of TOML, or of the steps
-        flaw, _, place = str(problem).partition(" - at `$.")
-        named = _STEP.sub(lambda step: f"step {int(step[1]) + 1}", place.rstrip("`"))
-        raise ConfigurationError.of(path, named or "program", flaw) from problem
-    return program
+    if file is None:
+        return _ask(drive, "program", action, contact)
+    program = read_program(file)
+    if program["unit"] is not None:
+        return _ask(drive, "program", program, contact)
+    return _ask_level(drive, "program", program, (), contact)
 
 
 def pole(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:
@@ -256,6 +222,29 @@ def status(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     as_json = contact.as_json
     print(json.dumps(asdict(found), indent=2) if as_json else display.describe(drive, found))
     return ACCEPTED if found.online and found.live else NO_ANSWER
+
+
+def _ask_level(
+    drive: str,
+    verb: str,
+    value: object,
+    levels: Sequence[Typed | None],
+    contact: Contact,
+    **fields: object,
+) -> int:
+    """Send a command in the unit that was typed, else in that in which the drive is shown."""
+    units = {one.unit for one in levels if one is not None and one.unit}
+    if len(units) > 1:
+        return print_error("adaptdrive", f"{verb} in {' and '.join(sorted(units))}", UNUSABLE)
+    if not (unit := units.pop() if units else None):
+        try:
+            reading = read_display(contact.settings, drive, contact.timeout)
+            unit = asyncio.run(reading).mark
+        except NoAnswerError as problem:
+            return print_error("adaptdrive", str(problem), NO_ANSWER)
+    if isinstance(value, dict) and verb == "program":
+        return _ask(drive, verb, value | {"unit": unit}, contact, **fields)
+    return _ask(drive, verb, value, contact, unit=unit, **fields)
 
 
 def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: object) -> int:

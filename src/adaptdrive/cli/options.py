@@ -151,12 +151,45 @@ def _read_integer(_: object, tokens: Sequence[cyclopts.Token]) -> int:
     return number
 
 
+class Typed(float):
+    """A number as it was typed, and its unit.
+
+    Attributes:
+        unit: The unit, empty where none was typed.
+    """
+
+    unit: str = ""
+
+
+_TYPED = re.compile(r"\s*(?>([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?))\s*(\D\S*)\s*")
+
+
+def typed(text: str) -> Typed:
+    """Return the number of a text such as `150`, `1500rpm` or `"60 °C"`.
+
+    Raises:
+        ValueError: It has none.
+    """
+    found = _TYPED.fullmatch(text)
+    try:
+        number = Typed(found[1] if found else text)
+    except ValueError:
+        raise ValueError(f'"{text}" is not a number, such as 150 or 1500rpm.') from None
+    number.unit = found[2] if found else ""
+    return number
+
+
+def _read_typed(_: object, tokens: Sequence[cyclopts.Token]) -> Typed:
+    return typed(tokens[0].value)
+
+
 Flag = Annotated[bool, Parameter(negative=())]
 Json = Annotated[bool, Parameter(name="--json", negative=())]
 Settings = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
 _FINITE = refusing(math.isfinite, "A finite number is needed.")
 Number = Annotated[float, Parameter(validator=_FINITE)]
 Second = Annotated[float | None, Parameter(validator=_FINITE)]
+Level = Annotated[Typed, Parameter(converter=_read_typed, validator=_FINITE)]
 Integer = Annotated[int, Parameter(converter=_read_integer)]
 
 

@@ -132,8 +132,9 @@ class _Probe:
             f"{given.name} {given.text(reading.boost_voltage_V, '7.2f')}  "
             f"line {_shown(reading.line_voltage_V, '6.1f')} V  "
             f"load {_shown(reading.load_power_W, '7.1f')} W  {load.output_name} "
-            f"{reading.output:9.5f} {load.output_unit}  bridge {'on' if reading.bridge else 'off'}"
-            f"  {_watched(reading)}  age {age_ms:5.1f} ms  ({counts})"
+            f"{load.display.text(reading.output, '9.5f')}  "
+            f"bridge {'on' if reading.bridge else 'off'}  "
+            f"{_watched(reading)}  age {age_ms:5.1f} ms  ({counts})"
         )
 
     async def _command(self) -> None:

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from adaptdrive.config import section
 from adaptdrive.util.errors import Flaw
+from adaptdrive.util.quantity import Display
 
 LoadName = Literal["motor", "bath", "battery"]
 
@@ -43,6 +44,36 @@ class LoadTraits:
     lag_periods_max: float = 120.0
     paper_forgetting: float = 0.985
     paper_method: str | None = None
+
+
+class OutputDisplay(section.Section):
+    """`[load.output_display]`: the unit in which people see and type the output.
+
+    `output_display = "rpm"` stands for `{ unit = "rpm" }`.
+    """
+
+    unit: str = Field(min_length=1)
+    """its name; where it stands alone a unit that `load.output_unit` converts to: rpm for rad/s"""
+    scale: section.PositiveFloat | None = None
+    """its units for each unit of the output; 1 where `offset` stands alone"""
+    offset: section.FiniteFloat | None = None
+    """its value where the output is 0: 15.0 with `unit = "degC"` for a rise in K above an inflow of
+    15 °C"""
+
+    def display_of(self, output_unit: str) -> Display | None:
+        """Return the conversion from the unit of the output, None where nobody knows it."""
+        name = _SIGNS.get(self.unit, self.unit)
+        if self.scale is None and self.offset is None:
+            usual = section.from_si(self.unit, output_unit)
+            return None if usual is None else Display(name, *usual)
+        return Display(name, 1.0 if self.scale is None else self.scale, self.offset or 0.0)
+
+
+_SIGNS = {"degC": "°C", "degF": "°F"}
+
+
+def _as_display(given: object) -> object:
+    return {"unit": given} if isinstance(given, str) else given
 
 
 class LoadSection(section.Section):
@@ -80,7 +111,34 @@ class LoadSection(section.Section):
     output_name: str
     """name of the output for people"""
     output_unit: str
-    """unit of the output for people"""
+    """unit of the output, of its set-points and of its limits"""
+    output_display: Annotated[
+        OutputDisplay | None,
+        BeforeValidator(_as_display, json_schema_input_type=OutputDisplay | str),
+    ] = None
+    """unit in which people see and type the output, such as "rpm" beside rad/s; left out:
+    `output_unit`. This file, telemetry and records keep that"""
+
+    @property
+    def display(self) -> Display:
+        """Unit in which people see and type the output."""
+        chosen = self.output_display
+        found = None if chosen is None else chosen.display_of(self.output_unit)
+        return found or Display(self.output_unit)
+
+    def flaws(self) -> Iterator[Flaw]:
+        """Yield a unit for people that nobody can convert to."""
+        yield from super().flaws()
+        chosen, found = self.output_display, self.display
+        if chosen is None:
+            return
+        given = "give { unit = …, scale = …, offset = … }"
+        if chosen.display_of(self.output_unit) is None:
+            flaw = f"{chosen.unit!r} is no unit that {self.output_unit!r} converts to: {given}"
+            yield Flaw("output_display", flaw)
+        elif self.traits.drifts and chosen.offset is None and found.offset:
+            flaw = f"{chosen.unit!r} is absolute, and a bath has a rise above its inflow: {given}"
+            yield Flaw("output_display", flaw)
 
 
 class MotorModel(section.Section):

@@ -250,6 +250,11 @@ def known_unit(written: str) -> str | None:
     return exact or (None if folded in _AMBIGUOUS else _FOLDED.get(folded))
 
 
+def same_unit(one: str, other: str) -> bool:
+    """Return whether two spellings name the same unit."""
+    return one == other or known_unit(one) == (known_unit(other) or other)
+
+
 def multiple_of(written: str) -> tuple[float, str]:
     """Return the factor that stands before a unit, 1 for none, and the unit."""
     found = _MULTIPLE.match(written.strip())
@@ -279,6 +284,20 @@ class Converted(Section):
 def si_unit(unit: str) -> str | None:
     """Return the SI unit of a quantity in a given unit, None for an unknown unit."""
     return _DIMENSIONS.get(unit)
+
+
+def from_si(unit: str, si: str) -> tuple[float, float] | None:
+    """Return the factor and the zero that lead from an SI unit to another one.
+
+    Args:
+        unit: The other unit, in any common spelling.
+        si: The SI unit.
+
+    Returns:
+        None where one does not lead to the other, or is unknown.
+    """
+    pair = _SI.get(known_unit(si) or "", {}).get(known_unit(unit) or "")
+    return None if pair is None else (1.0 / pair[0], -pair[1] / pair[0])
 
 
 def unit_problem(source: Converted, found: str, wanted: str) -> str | None:

@@ -20,6 +20,7 @@ from aiomqtt import Client, Message, MqttError, ProtocolVersion
 from adaptdrive.mqtt import commands, contract
 from adaptdrive.mqtt.connection import Broker, connection
 from adaptdrive.util.errors import NOT_JSON, PlacedError
+from adaptdrive.util.quantity import Display
 
 # A conversation of an operator with one drive: the connection, its errors, the payloads.
 
@@ -151,6 +152,15 @@ async def read_status(broker: Broker, drive: str, timeout_s: float) -> DriveStat
                         client, {drive: status}, lambda: status.live and "drive" in status.telemetry
                     )
     return status
+
+
+async def read_display(broker: Broker, drive: str, timeout_s: float) -> Display:
+    """Return the unit in which people type the output; arguments and errors as of `read_status`."""
+    status, end_s = DriveStatus(), end_of(timeout_s)
+    async with conversation(broker, drive, end_s) as client, asyncio.timeout_at(end_s):
+        await client.subscribe(contract.Topics(drive).state, qos=1)
+        await _listen(client, {drive: status}, lambda: status.state is not None)
+    return commands.display_in(status.state or {})
 
 
 async def telemetry(broker: Broker, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:

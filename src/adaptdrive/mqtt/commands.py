@@ -20,7 +20,7 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import REQUESTS, Disable, Request
 from adaptdrive.safety.trips import Trip
 from adaptdrive.util.errors import RefusedError
-from adaptdrive.util.quantity import BOOST, Given
+from adaptdrive.util.quantity import BOOST, Display, Given
 
 # From the payload of a command to a request, or to a reason why there is none.
 
@@ -77,11 +77,13 @@ class Payload:
 
     @property
     def value(self) -> str:
-        """The value asked for and its further fields, as JSON; empty where there are none."""
-        sent = self._document if isinstance(self._document, dict) else {}
-        further = {name: one for name, one in sent.items() if name not in _ENVELOPE}
-        parts = (part for part in (sent.get("value"), further or None) if part is not None)
-        return " ".join(json.dumps(part, ensure_ascii=False) for part in parts)
+        """The value asked for, its unit and its further fields; empty where there are none."""
+        sent = dict(self._document) if isinstance(self._document, dict) else {}
+        value, unit = sent.get("value"), sent.pop("unit", None)
+        further = {k: v for k, v in sent.items() if k not in _ENVELOPE and v is not None}
+        text = "" if value is None else json.dumps(value, ensure_ascii=False)
+        text += f" {unit}" if text and isinstance(unit, str) else ""
+        return f"{text} {json.dumps(further, ensure_ascii=False)}".strip() if further else text
 
     @property
     def user(self) -> str:
@@ -196,7 +198,7 @@ def _value(place: str, sent: Any) -> Any:  # noqa: ANN401 - as the request decla
     if isinstance(sent, _Waveform):
         levels = {name: _finite(f"{place}.{name}", getattr(sent, name)) for name in _LEVELS}
         return Waveform(shape=sent.shape, **levels)
-    return None if sent == _OFF else sent
+    return None if sent == _OFF and place == "value" else sent
 
 
 def _finite(place: str, value: float) -> float:
@@ -280,6 +282,15 @@ def given_in(state: Mapping[str, Any]) -> Given:
     """Return what a drive is commanded, and gives, from the payload of `state`."""
     found = part(state, "manipulated")
     return Given(*(printable(found.get(name, getattr(BOOST, name))) for name in ("name", "unit")))
+
+
+def display_in(state: Mapping[str, Any]) -> Display:
+    """Return the unit in which people see and type the output, from the payload of `state`."""
+    output = part(state, "output")
+    found = part(output, "display")
+    own, unit = (printable(one.get("unit") or "") for one in (output, found))
+    display = Display(unit, number(found.get("scale")), number(found.get("offset")))
+    return display if display.scale > 0.0 and math.isfinite(display.offset) else Display(own)
 
 
 def program_text(state: Mapping[str, Any], drive: Mapping[str, Any]) -> str:

@@ -19,7 +19,7 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.mqtt.commands import STOP
 from adaptdrive.runtime import reports
 from adaptdrive.safety.trips import TripKind, remedy
-from adaptdrive.util.quantity import BOOST, MEASURED, Given
+from adaptdrive.util.quantity import BOOST, MEASURED, Display, Given
 from adaptdrive.util.trends import HealthReport
 
 Range = tuple[float | None, float | None]
@@ -33,10 +33,17 @@ class Output:
     Attributes:
         name: Its name, such as `speed`.
         unit: Unit of output, reference and set-point; empty for a plain number.
+        display: Unit in which people see and type it: scale · value + offset. None for its own.
     """
 
     name: str = "output"
     unit: str = ""
+    display: Display | None = None
+
+    @property
+    def shown(self) -> Display:
+        """Unit in which people see and type it."""
+        return self.display or Display(self.unit)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ acknowledgement again, after any time: each command but a stop expires.
 
 import asyncio
 import ctypes
+import json
 import random
 import time
 from collections.abc import Awaitable, Callable, Sequence
@@ -21,6 +22,7 @@ from adaptdrive.mqtt.session import BrokerSession
 from adaptdrive.runtime import reports
 from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.clock import repeat
+from adaptdrive.util.quantity import Display
 
 # Discovery message for Home Assistant: one retained message makes the drive a device there.
 
@@ -37,6 +39,7 @@ _DEVICE_CLASSES = {
     "kW": "power",
     "Hz": "frequency",
     "°C": "temperature",
+    "°F": "temperature",
     "K": "temperature_delta",  # a rise above the inflow; `temperature` would be converted to °C
 }
 _LAST_TRIP = (  # a state in Home Assistant has at most 255 characters
@@ -82,10 +85,11 @@ def discovery(profile: contract.Profile, prefix: str) -> tuple[str, contract.Pay
 
 
 def _sensors(profile: contract.Profile, topics: contract.Topics) -> dict[str, contract.Payload]:
-    output, given = profile.output, profile.manipulated
+    output, shown, given = profile.output, profile.output.shown, profile.manipulated
     drive = topics.drive_telemetry  # published in standby, too
     return {
-        "output": _measured(output.name, drive, "output", output.unit),
+        "output": _measured(output.name, drive, "output", shown.unit)
+        | {"value_template": _shown_by(shown, "value_json.output")},
         "boost_reference": _measured(
             given.asked, topics.load_telemetry, "boost_reference_V", given.unit
         ),
@@ -152,6 +156,7 @@ def _measured(name: str, topic: str, key: str, unit: str) -> contract.Payload:
 
 def _controls(profile: contract.Profile, topics: contract.Topics) -> dict[str, contract.Payload]:
     low, high = (profile.limits or {}).get("setpoint", (None, None))
+    shown = profile.output.shown
     controls: dict[str, contract.Payload] = {
         "stop": _button("stop", topics.stop, _ID),
         "reset": _button("reset trip", topics.command("reset"), _EXPIRING),
@@ -167,18 +172,33 @@ def _controls(profile: contract.Profile, topics: contract.Topics) -> dict[str, c
         },
     }
     if low is not None and high is not None:
-        controls["setpoint"] = _shown("set-point", topics.state, "{{ value_json.setpoint }}") | {
+        controls["setpoint"] = _shown(
+            "set-point", topics.state, _shown_by(shown, "value_json.setpoint")
+        ) | {
             "platform": "number",
-            "min": low,
-            "max": high,
-            "step": max(_SMALLEST_STEP, (high - low) / _STEPS),
+            "min": shown.shown(low),
+            "max": shown.shown(high),
+            "step": max(_SMALLEST_STEP, shown.change.shown(high - low) / _STEPS),
             "mode": "box",
             "command_topic": topics.command("setpoint"),
-            "command_template": f'{{{_EXPIRING}, "value": {{{{ value }}}}}}',
+            "command_template": f'{{{_EXPIRING}, "value": {{{{ value }}}}{_marked(shown)}}}',
         }
-        if profile.output.unit:
-            controls["setpoint"]["unit_of_measurement"] = profile.output.unit
+        if shown.unit:
+            controls["setpoint"]["unit_of_measurement"] = shown.unit
     return controls
+
+
+def _shown_by(display: Display, place: str) -> str:
+    """Return the template that shows a value of the output, unknown as it is."""
+    if display.mark is None:
+        return f"{{{{ {place} }}}}"
+    shown = f"{display.scale!r} * {place} + {display.offset!r}"
+    return f"{{{{ none if {place} is none else {shown} }}}}"
+
+
+def _marked(display: Display) -> str:
+    """Return the part of a command that names the unit of what was typed."""
+    return "" if display.mark is None else f', "unit": {json.dumps(display.mark)}'
 
 
 def _button(name: str, topic: str, content: str) -> contract.Payload:

@@ -2,6 +2,7 @@
 // The MQTT contract of the daemon: topics, and payloads read with care. docs/mqtt.md defines it.
 
 /**
+ * @typedef {{unit: string, scale: number, offset: number}} Display
  * @typedef {{value: number|null, std: number|null}} Estimate
  * @typedef {{time: string, kind: string, text: string, remedy: string}} Trip
  * @typedef {{shape: string, low: number|null, high: number|null, period_s: number|null}} Waveform
@@ -10,7 +11,7 @@
  *   state: string, mode: string, controller: string, reason: string, enabled: boolean,
  *   setpoint: number|null, waveform: Waveform|null, pole: number|null, trip: string|null, trip_kind: string,
  *   stop: string|null, time: string, since: string, last_trip: Trip|null, clock: string,
- *   output: {name: string, unit: string}, manipulated: {name: string, unit: string}, modes: string[],
+ *   output: {name: string, unit: string, display: Display}, manipulated: {name: string, unit: string}, modes: string[],
  *   limits: Record<string, [number|null, number|null]>, reach: [number|null, number|null], program: Program|null
  * }} State
  * @typedef {{

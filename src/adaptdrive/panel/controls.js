@@ -3,14 +3,16 @@
 
 const Controls = (() => {
   const CONFIRM_S = 5;
+  const LEVELS = new Set(["setpoint", "waveform"]); // in the unit in which the output is shown
   const TURNS = [["Pause", "pause"], ["Resume", "resume"], ["Skip step", "skip"], ["End program", "stop"]];
 
   /** Ask, and show "sent", then the answer, after the control that asked.
    * @param {DriveView} drive @param {HTMLElement} answer @param {Element} place
    * @param {string} verb @param {unknown} [value] */
   async function ask(drive, answer, place, verb, value) {
-    const asked = value === undefined ? verb : `${verb} ${typeof value === "object" ? "…" : value}`;
-    await report(answer, place, asked, () => Link.ask(drive.name, verb, value));
+    const unit = LEVELS.has(verb) ? drive.typedIn : undefined;
+    const asked = value === undefined ? verb : [verb, typeof value === "object" ? "…" : value, unit].filter((one) => one !== undefined).join(" ");
+    await report(answer, place, asked, () => Link.ask(drive.name, verb, value, unit));
   }
 
   /** @param {HTMLElement} answer @param {Element} place @param {string} asked @param {() => ReturnType<typeof Link.ask>} send */

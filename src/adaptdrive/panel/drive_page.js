@@ -120,7 +120,7 @@ const DrivePage = (() => {
       marginRow(given, fast?.boost_voltage_V, state?.limits?.boost_trip_V, unit),
       marginRow("load power", fast?.load_power_W, state?.limits?.power_W, "W"),
       ["estimate", load ? (load.accepted ? "accepted" : "refused") : "–", load?.reason ?? ""],
-      ...Object.entries(load?.estimates ?? {}).map(([name, one], _, all) => estimateRow(name, one, all.map(([each]) => each), drive.unit, unit)),
+      ...Object.entries(load?.estimates ?? {}).map(([name, one], _, all) => estimateRow(name, one, all.map(([each]) => each), drive.ownUnit, unit)),
       ["response to a step", load?.response_spread == null ? "–" : `± ${Dom.number(100 * load.response_spread, "%", 2)}`, "by what the accepted estimates leave open"],
       ["pole", Dom.number(state?.pole), `per slow period; ${limitText(state?.limits?.pole, "")}`],
       ["lateness of a tick", milliseconds(lateness?.p99), lateness ? `99 %; longest ${milliseconds(lateness.max)}` : ""],
@@ -190,7 +190,7 @@ const DrivePage = (() => {
   /** @param {State|null} state */
   function wave(state) {
     const own = state?.waveform;
-    return own ? `${own.shape} ${Dom.number(own.low)} to ${Dom.number(own.high, state?.output?.unit)}, period ${Dom.number(own.period_s, "s")}` : limitText(state?.limits?.setpoint, state?.output?.unit ?? "");
+    return own ? `${own.shape} ${Dom.number(own.low)} to ${Dom.number(own.high, state?.output?.display.unit)}, period ${Dom.number(own.period_s, "s")}` : limitText(state?.limits?.setpoint, state?.output?.display.unit ?? "");
   }
 
   /** @param {[number|null, number|null]|undefined} range @param {string} unit */

@@ -12,6 +12,17 @@ const Drives = (() => {
   const MARKED = new Set(["starting", "tripped", "standby"]);
   const STALE_S = 3; // telemetry/drive comes at least once a second
 
+  const PLAIN = { unit: "", scale: 1, offset: 0 };
+
+  /** @typedef {{output: number|null, reference?: number|null}} Measured */
+
+  /** What was measured with its output and its reference converted.
+   * @template {Measured} T @param {T} one @param {(value: number|null) => number|null} convert @returns {T} */
+  function restated(one, convert) {
+    const reference = one.reference === undefined ? {} : { reference: convert(one.reference) };
+    return { ...one, output: convert(one.output), ...reference };
+  }
+
   class Drive {
     /** @param {string} name */
     constructor(name) {
@@ -70,8 +81,24 @@ const Drives = (() => {
       return stop === "confirmed" ? "" : `stop ${stop}`;
     }
 
+    /** The unit in which people see the output: all that is kept here is in it. */
+    get display() {
+      return this.state?.output?.display ?? PLAIN;
+    }
+
     get unit() {
+      return this.display.unit;
+    }
+
+    /** The unit of the output itself, which estimates keep. */
+    get ownUnit() {
       return this.state?.output?.unit ?? "";
+    }
+
+    /** The unit that a command names, none where a typed value needs none. */
+    get typedIn() {
+      const { unit, scale, offset } = this.display;
+      return scale === 1 && offset === 0 ? undefined : unit;
     }
 
     /** What the drive applies. */
@@ -82,7 +109,7 @@ const Drives = (() => {
 
     /** What a page of the drive is built from; the page is built again when it changes. */
     get build() {
-      return JSON.stringify([this.outputName, this.unit, this.given, this.state?.modes, this.features]);
+      return JSON.stringify([this.outputName, this.display, this.given, this.state?.modes, this.features]);
     }
 
     get outputName() {
@@ -103,11 +130,28 @@ const Drives = (() => {
         this.lost = false;
       }
       if (kind === "state") this._takeState(message);
-      if (kind === "load") this._takeLoad(message, retained);
-      if (kind === "fast") this._takeFast(message);
+      if (kind === "load") this._takeLoad(restated(message, this._seen), retained);
+      if (kind === "fast") this._takeFast(restated(message, this._seen));
       if (kind === "health") this.health = message;
       if (kind === "event") this._takeEvent(message);
-      if (kind === "history") this.remember(message);
+      if (kind === "history") this.remember({ rows: message.rows.map(this._restate), points: message.points.map(this._restate) });
+    }
+
+    /** @param {number|null} value */
+    _seen = (value) => Payloads.shown(value, this.display);
+
+    /** @template {Measured} T @param {T} one @returns {T} */
+    _restate = (one) => restated(one, this._seen);
+
+    /** Convert what came in another unit, as before the first state. @param {Display} to */
+    _convert(to) {
+      const { scale, offset } = this.display;
+      const convert = (/** @type {number|null} */ value) => (value === null ? null : Payloads.shown((value - offset) / scale, to));
+      this.load = this.load && restated(this.load, convert);
+      this.fast = this.fast && restated(this.fast, convert);
+      this.slowRows = this.slowRows.map((one) => restated(one, convert));
+      this.points = this.points.map((one) => restated(one, convert));
+      this.slowVersion += 1;
     }
 
     /** Mark a moment in the plots. @param {string} kind @param {string} text @param {number} [timeS] */
@@ -117,7 +161,8 @@ const Drives = (() => {
 
     /** @param {State} message */
     _takeState(message) {
-      const last = this.state;
+      const last = this.state, { display } = message.output;
+      if (display.scale !== this.display.scale || display.offset !== this.display.offset) this._convert(display);
       this.state = message;
       if (!last) return;
       const at = timeS(message.time);

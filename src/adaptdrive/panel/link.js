@@ -111,13 +111,13 @@ const Link = (() => {
   /** Send a command and wait for the daemon's answer. Only a stop is sent again: after a loss of the broker,
    * and while it has no answer, as where the broker took it before the daemon was back. Where no telemetry has
    * told the clock of the drive, nothing but a stop and a ping is sent: it may expire too late.
-   * @param {string} drive @param {string} verb @param {unknown} [value]
+   * @param {string} drive @param {string} verb @param {unknown} [value] @param {string} [unit] of the value
    * @returns {Promise<{accepted: boolean, text: string}>} what the daemon said, or that it did not */
-  function ask(drive, verb, value) {
+  function ask(drive, verb, value, unit) {
     const now = clockMs(drive) ?? (verb === "ping" ? Date.now() : null);
     if (now === null && verb !== "disable") return Promise.resolve({ accepted: false, text: "not sent: the drive is not heard" });
     const expires = verb === "disable" || now === null ? {} : { expires: new Date(now + 1000 * ANSWER_S).toISOString() };
-    const content = { ...(value === undefined ? {} : { value }), ...expires };
+    const content = { ...(value === undefined ? {} : { value }), ...(unit === undefined ? {} : { unit }), ...expires };
     return request(Contract.command(drive, verb), content, verb === "disable");
   }
 

@@ -51,18 +51,31 @@ const Payloads = (() => {
     return { time: text(value.time), kind: text(value.kind), text: text(value.text), remedy: text(value.remedy) };
   }
 
+  /** The unit in which people see the output. @param {unknown} raw @param {string} own unit of the output @returns {Display} */
+  function display(raw, own) {
+    const found = fields(raw), scale = number(found.scale), offset = number(found.offset);
+    return scale !== null && scale > 0 && offset !== null ? { unit: text(found.unit), scale, offset } : { unit: own, scale: 1, offset: 0 };
+  }
+
+  /** A value of the output as people see it. @param {number|null} value @param {Display} display */
+  const shown = (value, { scale, offset }) => (value === null ? null : scale * value + offset);
+
   /** @param {Record<string, unknown>} raw @returns {State} */
   function state(raw) {
     const output = fields(raw.output), manipulated = fields(raw.manipulated), reach = fields(raw.reach);
+    const own = text(output.unit), seen = display(output.display, own);
+    const level = (/** @type {unknown} */ value) => shown(number(value), seen);
+    const limits = map(raw.limits, range), wave = waveform(raw.waveform);
+    for (const ends of [limits.setpoint, limits.output_trip]) if (ends) [ends[0], ends[1]] = [level(ends[0]), level(ends[1])];
     return {
       state: text(raw.state), mode: text(raw.mode), controller: text(raw.controller),
       reason: text(raw.reason), time: text(raw.time), since: text(raw.since), clock: text(raw.clock),
       stop: textOrNull(raw.stop), trip: textOrNull(raw.trip), trip_kind: text(raw.trip_kind), last_trip: trip(raw.last_trip), enabled: raw.enabled === true,
-      setpoint: number(raw.setpoint), pole: number(raw.pole), waveform: waveform(raw.waveform),
-      output: { name: text(output.name) || "output", unit: text(output.unit) },
+      setpoint: level(raw.setpoint), pole: number(raw.pole), waveform: wave && { ...wave, low: level(wave.low), high: level(wave.high) },
+      output: { name: text(output.name) || "output", unit: own, display: seen },
       manipulated: { name: text(manipulated.name) || "v_bst", unit: textOrNull(manipulated.unit) ?? "V" },
       modes: Array.isArray(raw.modes) ? raw.modes.slice(0, 10).map(text) : ["fixed", "adaptive"],
-      limits: map(raw.limits, range), reach: [number(reach.low), number(reach.high)], program: program(raw.program),
+      limits, reach: [level(reach.low), level(reach.high)], program: program(raw.program),
     };
   }
 
@@ -158,5 +171,5 @@ const Payloads = (() => {
     return message && (UNTIMED.has(kind) || isTimed(message)) ? message : null;
   }
 
-  return { shaped, text, number, fields, map };
+  return { shaped, text, number, fields, map, display, shown };
 })();

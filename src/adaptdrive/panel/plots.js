@@ -190,7 +190,7 @@ const Plots = (() => {
     function drawEstimate(name, rows, window) {
       let own = estimates.get(name);
       if (!own) {
-        const { text, unit } = Contract.named(name, Object.keys(drive.load?.estimates ?? {}), drive.unit, drive.given.unit);
+        const { text, unit } = Contract.named(name, Object.keys(drive.load?.estimates ?? {}), drive.ownUnit, drive.given.unit);
         own = plot(parent, `estimate: ${text}${unit ? `, ${unit}` : ""}, ± 2 σ`, [
           { label: "high", colour: "--series-1", band: true },
           { label: "low", colour: "--series-1", band: true },

@@ -55,6 +55,11 @@ const Sessions = (() => {
     const ticks = shaped.find(([table]) => table === "ticks")?.[1].columns ?? [];
     const unit = (/** @type {string} */ of) => ticks.find((one) => one.name === of)?.unit ?? "";
     for (const [table, { columns }] of shaped) columns.forEach((one, _, all) => label(one, table, all, text(raw.given), unit));
+    const display = Payloads.display(raw.display, unit("output"));
+    for (const one of ticks) if (one.name === "output" || one.name === "reference") {
+      one.unit = display.unit;
+      one.values = one.values.map((value) => Payloads.shown(value, display));
+    }
     return {
       name, beganS: seconds(raw.began), version: text(raw.version), tables: Object.fromEntries(shaped),
       damage: Array.isArray(raw.damage) ? raw.damage.slice(0, 20).map(text) : [],

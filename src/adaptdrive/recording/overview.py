@@ -20,6 +20,7 @@ from adaptdrive.recording.records import CommandRow, EventRow
 from adaptdrive.runtime.reports import MONOTONIC
 from adaptdrive.util.errors import NOT_JSON, RecordingError
 from adaptdrive.util.files import alone, read_regular, replace_regular
+from adaptdrive.util.quantity import Display
 
 T = TypeVar("T")
 
@@ -165,6 +166,7 @@ class Overview(msgspec.Struct):
         notes: Events and commands in their order, the last ones of very many.
         damage: What could not be read, in words.
         files: Bytes of each Parquet file.
+        display: Unit in which people see the output, None for its own.
     """
 
     drive: str
@@ -177,6 +179,7 @@ class Overview(msgspec.Struct):
     notes: list[Note] = []
     damage: list[str] = []
     files: dict[str, int] = {}
+    display: Display | None = None
 
     @property
     def end(self) -> datetime | None:
@@ -212,7 +215,8 @@ def refresh(directory: Path, info: session.SessionInfo) -> Overview:
         OSError: The overview cannot be written.
     """
     written = _read(directory / OVERVIEW_FILE, Overview)
-    found = written or Overview(info.drive, info.version, info.manipulated.name)
+    given = info.manipulated.name
+    found = written or Overview(info.drive, info.version, given, display=info.display)
     new = range(found.segments + 1, info.segments + 1)  # one beyond is not whole yet
     for segment in sorted(segments.segments(directory, None), key=_place):
         if segment.number not in new:

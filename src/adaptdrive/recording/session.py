@@ -116,6 +116,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
         prior: Estimates of an earlier run that its controller started from.
         histograms: Counts of the times of its ticks by bin, up to the last segment that is closed.
         output_unit: Unit of the regulated quantity.
+        display: Unit in which people see it, None for its own.
         manipulated: What the drive is commanded, and gives.
         segments: Number of the last segment that is closed.
         resolution: Step of the output that an earlier run had found, 0 for none.
@@ -138,6 +139,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
     prior: tuple[float, ...] | None = None
     histograms: dict[str, tuple[int, ...]] = {}
     output_unit: str = ""
+    display: quantity.Display | None = None
     manipulated: quantity.Given = quantity.BOOST
     segments: int = 0
     resolution: float = 0.0
@@ -147,6 +149,11 @@ class SessionInfo(msgspec.Struct, frozen=True):
     sensors: tuple[SensorColumn, ...] = ()
     log: str = ""
     format: int = FORMAT
+
+    @property
+    def shown(self) -> quantity.Display:
+        """Unit in which people see the output."""
+        return self.display or quantity.Display(self.output_unit)
 
 
 def sessions_directory(configured: Path | None, environment: Mapping[str, str]) -> Path:

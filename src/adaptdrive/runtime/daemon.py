@@ -212,6 +212,7 @@ class Daemon:
         """
         if self._announcer.shutting_down:
             raise RefusedError("the daemon is shutting down")
+        request = program.in_own_unit(request, self._configuration.load)
         if isinstance(request, requests.Reload):
             return await self._reload(request)
         if isinstance(request, requests.Reset) and not self._machine.energised:

@@ -4,17 +4,25 @@ A program needs an enabled drive and never enables one. Whatever commands the dr
 where it is, and nothing takes it up again.
 """
 
+import dataclasses
+import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from adaptdrive.control.signals import Mode
+import msgspec
+
+from adaptdrive.config.load import LoadSection
+from adaptdrive.config.section import same_unit
+from adaptdrive.control.signals import Mode, Waveform
 from adaptdrive.runtime import requests
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import End, Program, Step, Turn
 from adaptdrive.runtime.settings import AskedReference, MachineLimits, require_positive
 from adaptdrive.runtime.state_machine import Machine
 from adaptdrive.util.errors import RefusedError
+from adaptdrive.util.quantity import Display
 
 _BY_HAND = requests.SetSetpoint | requests.SetWaveform | requests.SetMode | requests.SetVoltage
 """Requests that would move what a program moves."""
@@ -33,17 +41,18 @@ def _order_of(step: Step) -> requests.Request:
             return requests.SetWaveform(None)
 
 
-def _described(step: Step, unit: str) -> str:
+def _described(step: Step, display: Display) -> str:
     """Return what a step does, in words."""
     match step:
         case requests.RampTo(to, slope):
-            way = "" if slope is None else f" at {slope:g} {unit}/s"
-            return f"ramp to {to:g} {unit}{way}"
+            way = "" if slope is None else f" at {display.change.text(slope)}/s"
+            return f"ramp to {display.text(to)}{way}"
         case requests.HoldFor(for_s, within):
-            near = "" if within is None else f" until within {within:g} {unit}"
+            near = "" if within is None else f" until within {display.change.text(within)}"
             return f"hold{near} for {for_s:g} s"
         case requests.WaveFor(shape, low, high, period_s, for_s):
-            return f"{shape} {low:g} to {high:g} {unit}, period {period_s:g} s, for {for_s:g} s"
+            levels = f"{display.shown(low):g} to {display.text(high)}"
+            return f"{shape} {levels}, period {period_s:g} s, for {for_s:g} s"
         case requests.Choose(mode):
             return f"mode {mode}"
 
@@ -115,7 +124,7 @@ class Programs:
         if (run := self._run) is None:
             return None
         name, step, steps = run.program.name, run.number + 1, len(run.program.steps)
-        does = _described(run.step, self._limits.load.output_unit)
+        does = _described(run.step, self._limits.load.display)
         status = f"{run.status}: {run.reason}" if run.reason else run.status
         text = f"{name} {status}, step {step} of {steps}: {does}"
         return requests.ProgramReport(name, step, steps, run.status, run.reason, text)
@@ -282,3 +291,68 @@ class Programs:
             near = runs and abs(output - machine.reference(tick)) <= step.within
             run.since_tick = run.since_tick if near else tick
         return tick - run.since_tick >= math.ceil(step.for_s / self._tick_s)
+
+
+# Requests in the unit in which people see the output.
+
+_ROUNDING = 1e-9
+"""Share of the set-point range by which a limit that is converted there and back may be off."""
+
+Convert = Callable[[float], float]
+
+
+def in_own_unit(request: requests.Request, load: LoadSection) -> requests.Request:
+    """Return a request with its values in the unit of the output.
+
+    Args:
+        request: What is asked.
+        load: Units and limits of the output.
+
+    Raises:
+        RefusedError: It is in another unit.
+    """
+    display = _display_of(request, load)
+    if display == Display(load.output_unit):
+        return request
+    level, change = functools.partial(_level, load, display), display.change.typed
+    match request:
+        case requests.SetSetpoint(value, slope):
+            return requests.SetSetpoint(level(value), slope and change(slope))
+        case requests.SetWaveform(Waveform() as wave, preview):
+            wave = dataclasses.replace(wave, low=level(wave.low), high=level(wave.high))
+            return requests.SetWaveform(wave, preview)
+        case requests.RunProgram(requests.Program() as program):
+            steps = tuple(_converted(step, level, change) for step in program.steps)
+            return requests.RunProgram(msgspec.structs.replace(program, steps=steps))
+    return request
+
+
+def _display_of(request: requests.Request, load: LoadSection) -> Display:
+    """Return the unit that a request is in."""
+    held = request.value if isinstance(request, requests.RunProgram) else request
+    unit: str | None = getattr(held, "unit", None)
+    for display in (load.display, Display(load.output_unit)):
+        if unit is not None and same_unit(unit, display.unit):
+            return display
+    if unit is None:
+        return Display(load.output_unit)
+    units = dict.fromkeys((load.display.unit, load.output_unit))
+    raise RefusedError(f"unit = {unit!r}: the output is in {' or '.join(units)}")
+
+
+def _level(load: LoadSection, display: Display, value: float) -> float:
+    """Return a level in the unit of the output; a limit that was typed is met exactly."""
+    found, near = display.typed(value), _ROUNDING * (load.reference_max - load.reference_min)
+    limits = (load.reference_min, load.reference_max)
+    return next((limit for limit in limits if abs(found - limit) <= near), found)
+
+
+def _converted(step: requests.Step, level: Convert, change: Convert) -> requests.Step:
+    match step:
+        case requests.RampTo(to, slope):
+            return requests.RampTo(level(to), slope and change(slope))
+        case requests.HoldFor(for_s, within):
+            return requests.HoldFor(for_s, within and change(within))
+        case requests.WaveFor(_, low, high):
+            return msgspec.structs.replace(step, low=level(low), high=level(high))
+    return step

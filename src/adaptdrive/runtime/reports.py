@@ -259,7 +259,7 @@ class CommandReport:
     Attributes:
         id: Id that its sender gave it.
         verb: What was asked for.
-        value: The value asked for, as JSON.
+        value: The value asked for, as JSON, and its unit where it was sent.
         user: Name that its sender gives itself; empty without one.
         accepted: Whether it was carried out.
         reason: Why not.

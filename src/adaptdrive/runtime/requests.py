@@ -83,11 +83,13 @@ class Program(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         name: Its name for people.
         steps: At most 100.
         end: What follows them.
+        unit: Unit of levels, slopes and distances, as that of a set-point.
     """
 
     name: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
     steps: Annotated[tuple[Step, ...], msgspec.Meta(min_length=1, max_length=100)]
     end: End = End.HOLD
+    unit: str | None = None
 
 
 class Turn(StrEnum):
@@ -142,11 +144,13 @@ class SetSetpoint(Request):
         value: The set-point.
         slope: Change of the reference in one second on its way there; None for
             `load.reference_slope`.
+        unit: Unit of both: that of the output, also when None, or that in which people see it.
     """
 
     verb = "setpoint"
     value: float
     slope: float | None = None
+    unit: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,11 +160,13 @@ class SetWaveform(Request):
     Attributes:
         value: The set-point.
         preview: Whether the controller may move before what comes.
+        unit: Unit of its levels, as that of a set-point.
     """
 
     verb = "waveform"
     value: Waveform | None
     preview: bool = True
+    unit: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

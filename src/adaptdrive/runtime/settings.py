@@ -22,6 +22,7 @@ from adaptdrive.safety.interlocks import Limits
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import RefusedError
+from adaptdrive.util.quantity import Display
 
 # V_c as the operator sets it in mode `manual`: a ramp to the value asked for, and its expiry.
 
@@ -160,13 +161,16 @@ def coasts_at(setpoint: float, reach: Reach) -> bool:
 _SMALLEST, _LARGEST = 1e-9, 1e9
 """Slopes, distances and times in s that a program or a command may have: 1e9 s are 32 years."""
 
+_PLAIN = Display()
+
 
 def _require(  # noqa: PLR0913, PLR0917 - the parts of one sentence
-    what: str, value: float, low: float, high: float, unit: str = "", why: str = ""
+    what: str, value: float, low: float, high: float, display: Display = _PLAIN, why: str = ""
 ) -> None:
     """Refuse a value that is not finite, or outside of a range; an end that is NaN is none."""
     if not math.isfinite(value) or value < low or value > high:
-        raise RefusedError(f"{what} = {value:.12g}{unit} is outside {low:g}…{high:g}{unit}{why}")
+        allowed = display.range_text(low, high)
+        raise RefusedError(f"{what} = {display.text(value, '.12g')} is outside {allowed}{why}")
 
 
 def require_positive(what: str, value: float | None) -> None:
@@ -226,7 +230,7 @@ class MachineLimits:
             RefusedError: The value is out of range or not finite.
         """
         load = self.load
-        _require(what, value, load.reference_min, load.reference_max, f" {load.output_unit}")
+        _require(what, value, load.reference_min, load.reference_max, load.display)
 
     def require_reach(self, what: str, value: float, reach: Reach) -> None:
         """Refuse a set-point that V_c cannot hold.
@@ -234,8 +238,8 @@ class MachineLimits:
         Arguments as of `require_reference`.
         """
         if not can_hold(reach, value):
-            unit, why = f" {self.load.output_unit}", f", which {self.drive.given.symbol} can hold"
-            _require(what, value, reach.low, reach.high, unit, why)
+            why = f", which {self.drive.given.symbol} can hold"
+            _require(what, value, reach.low, reach.high, self.load.display, why)
 
     def require_setpoint(self, what: str, value: float, reach: Reach) -> None:
         """Refuse a set-point that is not allowed, or that V_c cannot hold and is no rest.
@@ -266,7 +270,7 @@ class MachineLimits:
 
     def require_period(self, what: str, value: float) -> None:
         """Refuse a period of a waveform, in s, that is too short or too long."""
-        _require(what, value, self.period_min_s, _LARGEST, " s")
+        _require(what, value, self.period_min_s, _LARGEST, Display("s"))
 
     def require_pole(self, value: float) -> None:
         """Refuse a closed-loop pole that is too fast or too slow."""
@@ -275,7 +279,7 @@ class MachineLimits:
     def require_voltage(self, value: float, hold_s: float | None) -> None:
         """Refuse a V_c, in V, or a time to hold it, in s, that is out of range."""
         given, highest_V = self.drive.given, self.drive.limits.boost_reference_max_V
-        _require(given.by_hand, value, self.floor_V, highest_V, f" {given.unit}".rstrip())
+        _require(given.by_hand, value, self.floor_V, highest_V, Display(given.unit))
         if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
             allowed = f"above 0 s and at most {_LONGEST_HOLD_S:g} s"
             raise RefusedError(f"hold_s = {hold_s:g} s is not {allowed}")

@@ -85,9 +85,9 @@ class Machine:
         """Return the reason why V_c cannot hold the set-point, empty where it can."""
         if not self.energised:
             return ""
-        reach, unit = self.reach, self._limits.load.output_unit
+        reach, display = self.reach, self._limits.load.display
         given = self._given
-        within = f"{reach.low:g}…{reach.high:g} {unit}".rstrip()
+        within = display.range_text(reach.low, reach.high)
         if self.coasting:
             known = f" within {within}" if reach.is_known else ""
             awaited = given.by_hand if self.mode is Mode.MANUAL else f"set-point{known}"
@@ -96,7 +96,7 @@ class Machine:
             return ""
         if self.asked.waveform is not None:
             return ""
-        outside = f"set-point {self.asked.setpoint:g} {unit} is outside {within}"
+        outside = f"set-point {display.text(self.asked.setpoint)} is outside {within}"
         return f"{outside}, which {given.symbol} can hold"
 
     @property

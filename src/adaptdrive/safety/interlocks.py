@@ -15,7 +15,7 @@ from adaptdrive.safety.monitor import Monitor
 from adaptdrive.safety.plausibility import Watch
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip, TripKind
-from adaptdrive.util.quantity import BOOST, MEASURED, Given
+from adaptdrive.util.quantity import BOOST, MEASURED, Display, Given
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class Limits:
     Attributes:
         boost_voltage_max_V: Over-voltage.
         output_max: Highest output.
-        output_unit: Unit of the output, for the text of the trip.
+        display: Unit of the output for people, for the text of the trip.
         output_name: Name of the output, as above.
         output_min: Lowest output.
         absent: Quantities that nobody measures.
@@ -34,7 +34,7 @@ class Limits:
 
     boost_voltage_max_V: float
     output_max: float
-    output_unit: str
+    display: Display
     output_name: str = "output"
     output_min: float = -math.inf
     absent: frozenset[str] = frozenset()
@@ -109,8 +109,8 @@ def _exceeded(reading: Reading, limits: Limits) -> Trip | None:
 
 
 def _compared(output: float, limit: float, limits: Limits) -> str:
-    unit = f" {limits.output_unit}" if limits.output_unit else ""
-    return f"{limits.output_name} = {output:.4g}{unit}, limit {limit:g}{unit}"
+    value, highest = limits.display.text(output, ".4g"), limits.display.text(limit)
+    return f"{limits.output_name} = {value}, limit {highest}"
 
 
 def _not_finite(reading: Reading, absent: frozenset[str]) -> str | None:

@@ -41,6 +41,7 @@ from typing import Protocol
 from adaptdrive.control.loads.load import to_input
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.trips import Trip, TripKind
+from adaptdrive.util.quantity import Display
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +49,7 @@ class OutputModel:
     """Model of the load by which a watch judges its output.
 
     Attributes:
-        output_unit: Unit of the output, for the text of the trip.
+        display: Unit of the output for people, for the text of the trip.
         gain: Change of the output at rest per unit of the input.
         input_gain: u = gain · v_bst^exponent.
         input_exponent: 1 or 2.
@@ -59,7 +60,7 @@ class OutputModel:
         by_power: Whether the input is the power over the boost voltage, and stores nothing.
     """
 
-    output_unit: str
+    display: Display
     gain: float
     input_gain: float
     input_exponent: int
@@ -219,7 +220,7 @@ class Response:
         )
 
     def _value(self, output: float) -> str:
-        return f"{output:.3g} {self._limits.output_unit}".rstrip()
+        return self._limits.display.text(output, ".3g")
 
 
 # A measured output that stands still while it cannot.
@@ -259,7 +260,7 @@ class StillnessWatch:
 
     def __init__(self, limits: StillnessLimits) -> None:
         self._limits = limits
-        self._output = Stillness(limits, f"{limits.output_name} stands", limits.output_unit)
+        self._output = Stillness(limits, f"{limits.output_name} stands", limits.display)
         self._inputs = {
             name: Stillness(limits, f"{name}, from which {limits.output_name} is derived, stands")
             for name in limits.inputs
@@ -285,22 +286,25 @@ class StillnessWatch:
         return cause
 
 
+_PLAIN = Display()
+
+
 class Stillness:
     """Watches one value of a running drive."""
 
     def __init__(
-        self, limits: StillnessLimits, stands: str = "output stands", unit: str = ""
+        self, limits: StillnessLimits, stands: str = "output stands", display: Display = _PLAIN
     ) -> None:
         """Watch nothing yet.
 
         Args:
             limits: When the value has stood still for too long.
             stands: Name and verb, for the text of the trip.
-            unit: Unit of the value, as above.
+            display: Unit of the value for people, as above.
         """
         self._limits = limits
         self._stands = f"stuck: {stands} at exactly"
-        self._unit = f" {unit}" if unit else ""
+        self._display = display
         self._output = math.nan
         self._digit = math.inf
         self._since_s = self._last_s = 0.0
@@ -336,7 +340,8 @@ class Stillness:
         moved = limits.pass_on(self._stages, limits.gain * (input_value - self._input), period_s)
         still_s = arrival_s - self._since_s
         if abs(moved) > self._distance:
-            distance = f"{limits.output_name} should have moved by {moved:.3g} {limits.output_unit}"
+            by = limits.display.change.text(moved, ".3g")
+            distance = f"{limits.output_name} should have moved by {by}"
             return Trip(TripKind.OUTPUT_FROZEN, f"{self._text(still_s)}, and {distance}")
         if still_s > limits.longest_s:
             return Trip(TripKind.OUTPUT_FROZEN, self._text(still_s))
@@ -353,4 +358,5 @@ class Stillness:
         return max(distance, min(_DIGITS * self._digit, _COARSEST * distance))
 
     def _text(self, still_s: float) -> str:
-        return f"{self._stands} {self._output:.6g}{self._unit} for {still_s:.3g} s"
+        value = self._display.text(self._output, ".6g")
+        return f"{self._stands} {value} for {still_s:.3g} s"

@@ -132,7 +132,10 @@ def over_mqtt(broker: Broker, drive: str, timeout_s: float) -> Ask:
     async def ask(command: terminal.KeyCommand) -> contract.Reply | contract.DeviceReply:
         if command.disturbance is not None:
             return await client.disturb(broker, drive, dict(command.disturbance), timeout_s)
-        return await client.send_command(broker, drive, command.verb, command.value, timeout_s)
+        fields = {} if command.unit is None else {"unit": command.unit}
+        return await client.send_command(
+            broker, drive, command.verb, command.value, timeout_s, **fields
+        )
 
     return ask
 

@@ -12,7 +12,8 @@ from typing import Any
 from rich.text import Text
 
 from adaptdrive.mqtt.client import LIVE_S
-from adaptdrive.mqtt.commands import number, part
+from adaptdrive.mqtt.commands import display_in, number, part
+from adaptdrive.util.quantity import Display
 
 # A plot of output and reference in braille characters: two by four dots in each cell.
 
@@ -267,6 +268,11 @@ class WatchRecord:
     def unit(self) -> str:
         """Unit of the output."""
         return str(part(self.state, "output").get("unit") or "")
+
+    @property
+    def display(self) -> Display:
+        """Unit in which people see the output."""
+        return display_in(self.state)
 
     @property
     def output_name(self) -> str:

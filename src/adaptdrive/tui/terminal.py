@@ -190,17 +190,19 @@ class KeyCommand:
     Attributes:
         verb: Verb of the command, or the words of a disturbance.
         value: Value of the command.
+        unit: Its unit, None for that of the drive.
         disturbance: Request to a simulated device, None for a command of the drive.
     """
 
     verb: str
     value: object = None
     disturbance: Mapping[str, Any] | None = None
+    unit: str | None = None
 
     @property
     def text(self) -> str:
         """The command in words."""
-        return self.verb if self.value is None else f"{self.verb} {self.value}"
+        return " ".join(str(one) for one in (self.verb, self.value, self.unit) if one is not None)
 
     @property
     def stops(self) -> bool:
@@ -269,7 +271,11 @@ class KeyReader:
             return None
         low, high = map(number, limits)
         wanted = number(self._record.state.get("setpoint")) + sign * _STEP * (high - low)
-        return KeyCommand("setpoint", min(max(wanted, low), high)) if isfinite(wanted) else None
+        if not isfinite(wanted):
+            return None
+        display = self._record.display
+        level = display.shown(min(max(wanted, low), high))
+        return KeyCommand("setpoint", level, unit=display.mark)
 
 
 @contextmanager

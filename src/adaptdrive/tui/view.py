@@ -21,8 +21,9 @@ from adaptdrive.mqtt.commands import (
     quantity_and_unit,
     unconfirmed_stop,
 )
-from adaptdrive.tui.record import FORMS, OFF, REFERENCE, Payload, WatchRecord, plot
+from adaptdrive.tui.record import FORMS, OFF, REFERENCE, Payload, PlotPoint, WatchRecord, plot
 from adaptdrive.tui.terminal import KeyCommand
+from adaptdrive.util.quantity import Display
 
 # Elements of the tables of the live view.
 
@@ -197,7 +198,7 @@ def _add_controller(line: Text, state: Payload) -> None:
 
 
 def _plot(record: WatchRecord, longest_s: float, size: tuple[int, int]) -> Table:
-    unit = f" in {record.unit}" if record.unit else ""
+    unit = f" in {record.display.unit}" if record.display.unit else ""
     title = Text(printable(f"{record.output_name}{unit}"))
     for name, form in {**FORMS, "off": OFF, "reference": REFERENCE}.items():
         title.append(f"  {form.sign * 2} {name}", form.style)
@@ -216,11 +217,20 @@ def plotted(
         size: Width and height of both in characters.
         longest_s: Longest time that it shows.
     """
-    points, now_s = list(record.points), record.now_s
+    points, now_s = _shown(record), record.now_s
     since_s = now_s - points[0].time_s if points else 0.0
     window_s = min(max(since_s, _SHORTEST_WINDOW_S), longest_s)
     room = size[0] - 1, size[1] - 1
     return titled(title, plot(points, list(record.marks), now_s, window_s, room))
+
+
+def _shown(record: WatchRecord) -> list[PlotPoint]:
+    """Return the points of the plot in the unit in which people see them."""
+    shown = record.display.shown
+    return [
+        PlotPoint(one.time_s, shown(one.reference), shown(one.output), one.controller)
+        for one in record.points
+    ]
 
 
 def _middle(record: WatchRecord, around: ViewExtras, size: tuple[int, int]) -> Table | Text:
@@ -245,11 +255,13 @@ def _drive(record: WatchRecord, *, ranges: bool) -> Table:
     state, fast, load = record.state, record.fast, record.load
     limits, wave = part(state, "limits"), part(state, "waveform")
     reference = load.get("reference") if wave else state.get("setpoint")
-    wanted = printable(wave.get("shape")) if wave else _range(limits.get("setpoint"))
-    given = given_in(state)
+    given, display = given_in(state), record.display
+    levels = _range(limits.get("setpoint"), display)
+    wanted = printable(wave.get("shape")) if wave else levels
+    output, reference = (display.shown(number(one)) for one in (fast.get("output"), reference))
     found = (
-        (record.output_name, fast.get("output"), record.unit, ""),
-        ("set-point", reference, record.unit, wanted),
+        (record.output_name, output, display.unit, ""),
+        ("set-point", reference, display.unit, wanted),
         (given.asked, load.get("boost_reference_V"), given.unit, _range(limits.get("boost_V"))),
         (given.name, fast.get("boost_voltage_V"), given.unit, ""),
         ("power", fast.get("load_power_W"), "W", _range(limits.get("power_W"))),
@@ -334,8 +346,11 @@ def _value(value: object, unit: str) -> str:
     return f"{figure(number(value))} {unit}".rstrip()
 
 
-def _range(limits: Any) -> str:  # noqa: ANN401 - a part of a payload
+_PLAIN = Display()
+
+
+def _range(limits: Any, display: Display = _PLAIN) -> str:  # noqa: ANN401 - of a payload
     if not isinstance(limits, list) or len(limits) != 2:
         return ""
-    low, high = ("" if one is None else f"{number(one):g}" for one in limits)
+    low, high = ("" if one is None else f"{display.shown(number(one)):g}" for one in limits)
     return f"{low}…{high}"

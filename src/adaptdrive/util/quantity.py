@@ -5,16 +5,16 @@ message, the recorded row, the Arrow schema and the page `docs/columns.md` are m
 declaration.
 
 What a drive is commanded, and gives, is its boost voltage, or what a key names: texts, topics,
-columns and figures take its name and unit from here.
+columns and figures take its name and unit from here, and the unit in which people see the output.
 """
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from enum import StrEnum
 from functools import cache
 from operator import attrgetter
 from types import UnionType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Self, TypeVar, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
 
@@ -183,3 +183,52 @@ class Given:
 
 BOOST = Given()
 """The voltage of a boost stage."""
+
+
+# The unit in which people see and type the output.
+
+
+@dataclass(frozen=True, slots=True)
+class Display:
+    """Unit in which people see and type the output; control, records and telemetry keep its own.
+
+    Attributes:
+        unit: Its name, empty for a plain number.
+        scale: Its units for each unit of the output, above 0.
+        offset: Its value where the output is 0.
+    """
+
+    unit: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def change(self) -> Self:
+        """The same for differences, such as a slope or a tolerance."""
+        return replace(self, offset=0.0)
+
+    @property
+    def mark(self) -> str | None:
+        """Unit that a command names which holds typed values; None where they need none."""
+        return None if (self.scale, self.offset) == (1.0, 0.0) else self.unit
+
+    def shown(self, value: float) -> float:
+        """Return a value of the output as people see it."""
+        return self.scale * value + self.offset
+
+    def typed(self, value: float) -> float:
+        """Return the value of the output that people have typed."""
+        return (value - self.offset) / self.scale
+
+    def text(self, value: float, form: str = "g") -> str:
+        """Return a value of the output with the unit.
+
+        Args:
+            value: In the unit of the output.
+            form: How the number is written.
+        """
+        return f"{self.shown(value):{form}} {self.unit}".rstrip()
+
+    def range_text(self, low: float, high: float, form: str = "g") -> str:
+        """Return a range of the output with the unit, arguments as of `text`."""
+        return f"{self.shown(low):{form}}…{self.text(high, form)}"

@@ -178,7 +178,7 @@ def test_drawn_loads_have_the_covariance_of_the_estimate(of_session: Model) -> N
 
 def test_a_loop_that_is_not_stable_has_no_margins() -> None:
     made = lab.model(EXAMPLE)
-    unstable = replace(made, b=tuple(-one for one in made.b))
+    unstable = replace(made, b=-made.b)
     assert not unstable.is_stable
     assert unstable.margins.gain == 1.0
     assert unstable.margins.delay_s == unstable.margins.phase_deg == 0.0

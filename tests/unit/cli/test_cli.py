@@ -16,14 +16,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
-from cyclopts import App, Token
+from cyclopts import App
 from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive import __version__
 from adaptdrive.cli import carry_out, main, operate
 from adaptdrive.cli.options import build_app, parsed_command
+from adaptdrive.cli.programs import per_second
 from adaptdrive.config import Configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode, Shape, Waveform
@@ -52,6 +54,7 @@ from adaptdrive.runtime.requests import (
     Turn,
     WaveFor,
 )
+from adaptdrive.util.quantity import Display
 from adaptdrive_sim.cli import app as sim_app
 from tests.golden import hold
 from tests.unit.cli.here import run_here
@@ -81,11 +84,13 @@ class Drive:
         refusal: Reason of its refusals, empty to accept.
         trip_kind: Kind of the trip for which it refuses.
         problem: Why it does not answer, empty to answer.
+        display: Unit in which people see its output.
     """
 
     def __init__(self) -> None:
         self.asked: list[Request] = []
         self.refusal = self.problem = ""
+        self.display = Display()
         self.trip_kind: str | None = None
         self.status = DriveStatus("online", {"state": "standby", "mode": "fixed"}, live=True)
 
@@ -105,12 +110,18 @@ class Drive:
             raise NoAnswerError(drive, self.problem)
         return self.status
 
+    async def tell_display(self, _: Mqtt, drive: str, __: float) -> Display:
+        if self.problem:
+            raise NoAnswerError(drive, self.problem)
+        return self.display
+
 
 @pytest.fixture
 def drive(monkeypatch: pytest.MonkeyPatch) -> Drive:
     stand_in = Drive()
     monkeypatch.setattr(operate, "send_command", stand_in.send)
     monkeypatch.setattr(operate, "read_status", stand_in.tell)
+    monkeypatch.setattr(operate, "read_display", stand_in.tell_display)
     return stand_in
 
 
@@ -176,14 +187,43 @@ def test_a_file_that_is_no_program_is_refused_with_the_place(
 @given(st.floats(1e-9, 1e9), st.sampled_from([("s", 1.0), ("min", 60.0), ("h", 3600.0)]))
 def test_a_slope_is_read_with_its_unit(number: float, unit: tuple[str, float]) -> None:
     name, factor = unit
-    token = Token(value=f"{number!r}/{name}")
-    assert operate._read_slope(None, [token]) == number / factor
+    assert per_second(f"{number!r}/{name}") == number / factor
 
 
 @pytest.mark.parametrize("text", ["0/h", "-2/s", "nan", "inf/s", "2/d", "x/s"])
 def test_what_is_no_slope_is_refused(drive: Drive, text: str) -> None:
     status, _, errors = outcome("setpoint", "bench", "3", f"--ramp={text}")
     assert (status, f'"{text}" is no slope' in errors, drive.asked) == (2, True, [])
+
+
+@pytest.mark.parametrize(
+    ("words", "request_"),
+    [
+        ("setpoint bench 3 --ramp 2", SetSetpoint(3.0, 2.0, unit="rpm")),
+        ("setpoint bench 3Hz --ramp 2Hz/s", SetSetpoint(3.0, 2.0, unit="Hz")),
+        ("setpoint bench 3 --ramp 120Hz/min", SetSetpoint(3.0, 2.0, unit="Hz")),
+        (
+            "waveform bench sine 1 3Hz 5",
+            SetWaveform(Waveform(Shape.SINE, 1.0, 3.0, 5.0), unit="Hz"),
+        ),
+        (
+            f"program start bench {PROGRAM}",
+            RunProgram(msgspec.structs.replace(CYCLE, unit="rpm")),
+        ),
+    ],
+)
+def test_a_command_names_the_unit_that_is_shown_or_typed(
+    drive: Drive, words: str, request_: Request
+) -> None:
+    drive.display = Display("rpm", 400.0)
+    assert outcome(*words.split())[0] == 0
+    assert drive.asked == [request_]
+
+
+def test_two_units_in_one_command_are_refused(drive: Drive) -> None:
+    status, _, errors = outcome(*["setpoint", "bench", "3rpm", "--ramp", "2Hz/s"])
+    assert (status, drive.asked) == (2, [])
+    assert "setpoint in Hz and rpm" in errors
 
 
 @pytest.mark.parametrize(
@@ -267,7 +307,7 @@ def test_a_check_for_programs_lists_limits_and_flaws(tmp_path: Path) -> None:
     status, output, errors = outcome("check", "--json", str(EXAMPLE))
     report = json.loads(output)
     assert (status, errors, report["valid"], report["drive"]) == (0, "", True, "motor")
-    assert report["output"] == {"name": "speed", "unit": "V"}
+    assert report["output"] == {"name": "speed", "unit": "V", "display": None}
     stale = next(one for one in report["time_limits"] if "interlocks.stale_s" in one["keys"])
     assert stale["limit_s"] == tomllib.loads(EXAMPLE.read_text())["interlocks"]["stale_s"]
     flawed = tmp_path / "flawed.toml"

@@ -25,6 +25,7 @@ from adaptdrive.devices.can.bus import open_bus
 from adaptdrive.safety.interlocks import Limits, find_cause
 from adaptdrive.safety.trips import Trip, TripKind
 from adaptdrive.util.errors import ConfigurationError
+from adaptdrive.util.quantity import Display
 from tests.unit.devices.bench import (
     EXAMPLES,
     MOTOR,
@@ -162,7 +163,7 @@ async def test_names_of_the_value_tables_are_used_and_told(
         await until(lambda: ear.readings[-1].fault == 17)
     reading = ear.readings[-1]
     assert not reading.bridge
-    limits = Limits(430.0, 5.0, "V")
+    limits = Limits(430.0, 5.0, Display("V"))
     assert find_cause(reading, reading.oldest_s, limits, 1.0) == Trip(
         TripKind.DRIVE_FAULT, "drive fault: FAULT_CODE Heat sink too hot (word 0x11)"
     )
@@ -242,7 +243,7 @@ async def test_a_seldom_value_may_be_as_old_as_its_cycle_time_says(
         inverter.send("INV_STATE", STATE)
         await ear.hears(2)
     # 4 cycles of 25 ms for the state; pages take three turns, so that theirs are 4 × 75 ms
-    limits, stale_s = Limits(430.0, 5.0, "V"), INVERTER.interlocks.stale_s
+    limits, stale_s = Limits(430.0, 5.0, Display("V")), INVERTER.interlocks.stale_s
     reading = ear.readings[1]
     assert reading.slack_s == 0.0  # the state is out of date first
     assert find_cause(reading, reading.arrival_s + 0.099, limits, stale_s) is None

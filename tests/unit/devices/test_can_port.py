@@ -23,6 +23,7 @@ from adaptdrive.safety.monitor import QUIET_S, Verdict
 from adaptdrive.safety.stop import Stop, StopWatch
 from adaptdrive.safety.trips import TripKind
 from adaptdrive.util.errors import BusError
+from adaptdrive.util.quantity import Display
 from tests.support import text_of
 from tests.unit.devices.bench import (
     STATUS,
@@ -44,7 +45,7 @@ from tests.unit.devices.bench import (
 
 COMMAND = Command(current_scale_S=0.04321, boost_reference_V=287.65, bridge=True)
 TICK_S = 1.0 / 120.0
-LIMITS = Limits(430.0, 5.0, "V")
+LIMITS = Limits(430.0, 5.0, Display("V"))
 
 
 class Bench:

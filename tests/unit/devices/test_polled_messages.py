@@ -20,6 +20,7 @@ from adaptdrive.devices.can.mapping import map_drive
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.interlocks import Limits, find_cause
 from adaptdrive.safety.trips import TripKind
+from adaptdrive.util.quantity import Display
 from tests.support import text_of
 from tests.unit.devices.bench import (
     LOAD,
@@ -37,7 +38,7 @@ from tests.unit.devices.bench import (
     until,
 )
 
-LIMITS = Limits(430.0, 5.0, "V")
+LIMITS = Limits(430.0, 5.0, Display("V"))
 STATUS_ID, LOAD_ID, COMMAND_ID = 0x18FF1027, 0x18FF1127, 0x18EF2717
 """Proprietary groups 65296 and 65297 of the drive at 0x27, and its command from 0x17."""
 

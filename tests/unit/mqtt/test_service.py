@@ -154,7 +154,7 @@ async def test_the_state_is_retained_and_follows_every_change(bench: Bench) -> N
         wave = Waveform(Shape.SQUARE, 3.0, 3.2, 120.0)
         bench.host.show(replace(STANDBY, trip="stale", waveform=wave, setpoint=float("nan")))
         second = (await ear.on(bench.topic("state"))).content
-    assert second["output"] == {"name": "speed", "unit": "V"}
+    assert second["output"] == {"name": "speed", "unit": "V", "display": None}
     assert second["limits"] == {"setpoint": [0.0, 4.0], "power_W": [None, 900.0]}
     assert second["modes"] == [mode.value for mode in Mode]
     assert (second["drive"], second["version"]) == (bench.drive, "9")

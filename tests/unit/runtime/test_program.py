@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.app.settings import machine_limits
-from adaptdrive.cli.operate import read_program
+from adaptdrive.cli.programs import read_program
 from adaptdrive.config import load_configuration
 from adaptdrive.control.signals import Mode, Reach, Shape, Waveform
 from adaptdrive.runtime.program import Programs

@@ -13,6 +13,7 @@ from adaptdrive.safety.frames import FrameRate
 from adaptdrive.safety.interlocks import InterlockBoard, Limits
 from adaptdrive.safety.timing import Timing
 from adaptdrive.safety.trips import Trip
+from adaptdrive.util.quantity import Display
 from tests.loopback_port import LoopbackPort
 from tests.support import a_trip, text_of
 from tests.unit.runtime.bench import CALM
@@ -22,7 +23,7 @@ TICK_S = 2.0**-7
 
 START_S = 64.0
 STALE_S = 0.0625
-LIMITS = Limits(boost_voltage_max_V=430.0, output_max=5.0, output_unit="V")
+LIMITS = Limits(boost_voltage_max_V=430.0, output_max=5.0, display=Display("V"))
 
 
 @dataclass

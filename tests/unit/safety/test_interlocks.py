@@ -14,6 +14,7 @@ from adaptdrive.config import load_configuration
 from adaptdrive.safety.facts import Reading
 from adaptdrive.safety.interlocks import Limits, find_cause
 from adaptdrive.safety.trips import Trip, TripKind
+from adaptdrive.util.quantity import Display
 from tests.support import text_of
 from tests.unit.devices.bench import EXAMPLES
 from tests.unit.runtime.bench import CALM
@@ -22,7 +23,7 @@ STALE_S = 0.05
 LIMITS = Limits(
     boost_voltage_max_V=430.0,
     output_max=5.0,
-    output_unit="V",
+    display=Display("V"),
     output_name="speed",
     output_min=-1.0,
 )

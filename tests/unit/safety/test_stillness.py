@@ -14,19 +14,20 @@ from scipy import signal
 from adaptdrive.app.loads import stillness_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.safety.plausibility import Stillness, StillnessLimits, StillnessWatch
+from adaptdrive.util.quantity import Display
 from tests.unit.devices.bench import EXAMPLES
 from tests.unit.runtime.bench import CALM
 
 TICK_s = 1.0 / 120.0
 GAIN, LAGS_s = 0.011, (11.7, 10.0)
-LIMITS = StillnessLimits("V", GAIN, 1.0, 1, LAGS_s, distance=0.225, longest_s=math.inf)
+LIMITS = StillnessLimits(Display("V"), GAIN, 1.0, 1, LAGS_s, distance=0.225, longest_s=math.inf)
 
 
 def first_complaint(
     limits: StillnessLimits, outputs: np.ndarray, voltages: np.ndarray
 ) -> tuple[float, str]:
     """When something was said, and what; infinity for never."""
-    watch = Stillness(limits, "output stands", limits.output_unit)
+    watch = Stillness(limits, "output stands", limits.display)
     for number, (output, voltage) in enumerate(zip(outputs, voltages, strict=True)):
         said = watch.advance(float(output), float(voltage), number * TICK_s)
         if said:
@@ -96,14 +97,14 @@ def test_a_frozen_sensor_is_noticed_after_twenty_digits_where_its_digit_is_known
 
 
 def test_a_change_of_one_digit_begins_anew() -> None:
-    watch = Stillness(LIMITS, "output stands", "V")
+    watch = Stillness(LIMITS, "output stands", Display("V"))
     for number in range(12_000):
         output = 3.3 + 1e-6 * (number // 600)
         assert watch.advance(output, 300.0 + 0.02 * number, number * TICK_s) is None
 
 
 def test_after_a_pause_it_begins_anew() -> None:
-    watch = Stillness(LIMITS, "output stands", "V")
+    watch = Stillness(LIMITS, "output stands", Display("V"))
     assert watch.advance(3.3, 200.0, 0.0) is None
     watch.forget()
     assert watch.advance(3.3, 400.0, 600.0) is None
@@ -111,7 +112,7 @@ def test_after_a_pause_it_begins_anew() -> None:
 
 
 def test_the_same_reading_again_is_no_news() -> None:
-    watch = Stillness(LIMITS, "output stands", "V")
+    watch = Stillness(LIMITS, "output stands", Display("V"))
     watch.advance(3.3, 300.0, 0.0)
     said = {watch.advance(3.3, 400.0, 1.0) for _ in range(10_000)}
     assert said == {None}
@@ -126,7 +127,7 @@ def test_a_noisy_sensor_may_not_stand_still_for_long() -> None:
 
 def derived_complaint(hot: np.ndarray, cold: np.ndarray, voltages: np.ndarray) -> tuple[float, str]:
     """When a watch over hot - cold, of which the load moves hot, says something, and what."""
-    named = replace(LIMITS, output_name="temperature", output_unit="K")
+    named = replace(LIMITS, output_name="temperature", display=Display("K"))
     watch = StillnessWatch(replace(named, inputs=("hot",)))
     for number, (warm, cool, voltage) in enumerate(zip(hot, cold, voltages, strict=True)):
         values = {"hot": float(warm), "cold": float(cool)}

@@ -18,6 +18,7 @@ import pytest
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.safety.interlocks import Limits, find_cause
 from adaptdrive.safety.trips import Trip, TripKind
+from adaptdrive.util.quantity import Display
 from tests.unit.devices import memory
 from tests.unit.devices.bench import until
 from tests.unit.devices.modbus.bench import (
@@ -150,7 +151,7 @@ async def test_what_came_in_place_of_a_value_is_named_with_its_place(name: str) 
     async with watched() as one:
         make(one.peer, fault)
         await until(lambda: expected in str(one.port.explain_age()))
-        limits = Limits(430.0, 5.0, "V")
+        limits = Limits(430.0, 5.0, Display("V"))
         cause = find_cause(None, math.inf, limits, 0.05, one.port.explain_age)
     assert cause is not None
     answered = name in {"range", "no value", "not finite"}
