@@ -73,7 +73,9 @@ def test_people_see_and_type_rpm_and_the_daemon_has_volts(
     assert site.stop_daemon() == 0
     found = site.session()
     values = {one.value for one in found.commands if one.verb == "setpoint" and one.accepted}
-    assert {"1200 rpm", "1000.0 rpm", "900.0 rpm", "3.5 V", "3.0"} <= values
+    typed = {value.partition(" {")[0] for value in values}
+    assert {"1200 rpm", "1000.0 rpm", "900.0 rpm", "3.5 V", "3.0"} <= typed
+    assert '900.0 rpm {"slope": 4000.0}' in values
     assert found.info.output_unit == "V"
     assert found.info.display is not None
     assert found.info.display.unit == "rpm"

@@ -41,17 +41,9 @@ def test_each_part_is_measured(part: str, tmp_path: Path) -> None:
     assert json.loads(output.read_text(encoding="utf-8"))["rows"]
 
 
-@pytest.mark.parametrize(
-    "part",
-    [
-        "steps",
-        *(
-            pytest.param(part, marks=[pytest.mark.slow, pytest.mark.proof])
-            for part in paired.BOXES_S
-            if part != "steps"
-        ),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.proof
+@pytest.mark.parametrize("part", list(paired.BOXES_S))
 def test_a_bench_of_few_turns_writes_its_table_and_tells_nothing(part: str, tmp_path: Path) -> None:
     output, page = tmp_path / "bench.json", tmp_path / "page.md"
     page.write_text("before\n{}stale\n{}after\n".format(*paired.MARKS), encoding="utf-8")

@@ -61,7 +61,9 @@ def roots(proposal: Proposal, factor: float) -> float:
     return float(np.abs(np.roots(closed)).max())
 
 
-@pytest.mark.parametrize("kind", sorted(KINDS))
+@pytest.mark.parametrize(
+    "kind", ["battery", "motor", pytest.param("bath", marks=pytest.mark.proof)]
+)
 @pytest.mark.parametrize("seed", sample([2, 0, 1], 1))
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(kind: str, seed: int) -> None:
     _, proposal, _, _ = proposed(kind, seed)
