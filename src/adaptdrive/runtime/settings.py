@@ -174,9 +174,13 @@ def _require(  # noqa: PLR0913, PLR0917 - the parts of one sentence
 
 
 def require_positive(what: str, value: float | None) -> None:
-    """Refuse a value that is not above 0, or of no use; one that is left out is None."""
-    if value is not None and not _SMALLEST <= value <= _LARGEST:
-        raise RefusedError(f"{what} = {value:.12g} is outside {_SMALLEST:g}…{_LARGEST:g}")
+    """Refuse a value that is not finite and above 0, or of no use; None is one that is left out."""
+    if value is None or _SMALLEST <= value <= _LARGEST:
+        return
+    allowed = f"outside {_SMALLEST:g}…{_LARGEST:g}"
+    if not 0.0 < value < math.inf:
+        allowed = "not a finite number above 0"
+    raise RefusedError(f"{what} = {value:.12g} is {allowed}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,7 +274,9 @@ class MachineLimits:
 
     def require_period(self, what: str, value: float) -> None:
         """Refuse a period of a waveform, in s, that is too short or too long."""
-        _require(what, value, self.period_min_s, _LARGEST, Display("s"))
+        if not value >= self.period_min_s:
+            raise RefusedError(f"{what} = {value:.12g} s is below {self.period_min_s:g} s")
+        require_positive(what, value)
 
     def require_pole(self, value: float) -> None:
         """Refuse a closed-loop pole that is too fast or too slow."""
