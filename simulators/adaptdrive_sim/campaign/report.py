@@ -211,7 +211,7 @@ def _cost_table(rows: list[Row]) -> Table:
 
 
 def _failure_table(found: list[Failure], table: Table, text_of: Callable[[Row], str]) -> Table:
-    """Add the first failures to a table, with what its last column tells of each."""
+    """Add the first failures to a table, each with what its last column contains."""
     for cause, row in found[:_SHOWN]:
         table.add_row(cause, str(row["seed"]), f"{row['ratio']:.3f}", text_of(row))
     if len(found) > _SHOWN:

@@ -48,7 +48,7 @@ class Place:
         self.log, self.sessions = folder / "motor.log", folder / "sessions"
         info = msgspec.structs.replace(INFO, started=START, log="../motor.log")
         self.header = Header(info, "# as configured\n", sessions="sessions", health=settings)
-        self.told: list[object] = []
+        self.published: list[object] = []
         create_session(self.sessions, info, self.header.config_text)
 
     def write(self, steps: list[LoadReport], part: int, *, last: bool = False) -> None:
@@ -60,7 +60,7 @@ class Place:
         with log_files(self.log)[-1].path.open("rb") as held:
             if live:
                 fcntl.flock(held, fcntl.LOCK_EX)  # as its daemon does
-            archive(self.log, now_s(), 10.0, lambda *_: None, self.told.append)
+            archive(self.log, now_s(), 10.0, lambda *_: None, self.published.append)
         return self.rows
 
     @property
@@ -116,7 +116,7 @@ def test_a_bound_that_is_left_is_reported_once_with_the_condition(
     health.append_rows(health.health_path(place.sessions, "motor"), weeks)
     place.write(steps, 1)
     place.archive()
-    event, report = place.told
+    event, report = place.published
     assert isinstance(event, Event)
     assert (event.kind, event.severity) == ("health", Severity.WARNING)
     said = r"dry friction and load torque: friction = 19\.9\d+ ± 0\.\d+, over"
@@ -126,9 +126,9 @@ def test_a_bound_that_is_left_is_reported_once_with_the_condition(
     assert [name for name, one in report.quantities.items() if one.outside] == ["friction"]
     assert report.quantities["friction"].value == pytest.approx(20.0, rel=0.02)
     assert report.time == BEGIN + timedelta(hours=2)
-    place.told.clear()
+    place.published.clear()
     place.archive()
-    assert [type(one) for one in place.told] == [HealthReport]
+    assert [type(one) for one in place.published] == [HealthReport]
 
 
 @pytest.mark.usefixtures("outside")
