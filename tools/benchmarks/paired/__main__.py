@@ -70,8 +70,8 @@ def measured(boxes_s: dict[str, float], effort: Effort, failures: list[str]) -> 
         builds = environments(Path(name))
         for part, longest_s in boxes_s.items():
             try:
-                with time_box(longest_s):
-                    module = importlib.import_module(f"tools.benchmarks.paired.{part}")
+                module = importlib.import_module(f"tools.benchmarks.paired.{part}")
+                with time_box(longest_s):  # which may not end an import half-way
                     yield from module.rows(builds, effort)
             except OutOfTimeError as problem:
                 yield from (Row(part, build, "", "", problem=str(problem)) for build in builds)
